@@ -1,0 +1,22 @@
+//! apexd drives an RC-scale car fast and safely through places it has never seen.
+//!
+//! The library is a deterministic function of parameters and timestamped inputs:
+//!
+//! ```text
+//! CAN frame -> wire -> localize -> map -> predict -> plan -> control -> guard -> wire -> CAN frame
+//! ```
+//!
+//! Only `shell` knows clocks, sockets, threads and files. `docs/architecture.md` has the module
+//! tree and which module may use which.
+
+pub mod command;
+pub mod frames;
+pub mod map;
+pub mod plan;
+pub mod predict;
+pub mod scan;
+pub mod sim;
+pub mod time;
+pub mod tunable;
+pub mod units;
+pub mod vehicle;

@@ -1,0 +1,3 @@
+//! The `apexd` binary.
+
+fn main() {}

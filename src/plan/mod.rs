@@ -1,0 +1,6 @@
+//! From a map, a goal and a view of the unknown to a plan that always ends at rest in known free
+//! space.
+
+mod path;
+
+pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
