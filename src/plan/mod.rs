@@ -2,5 +2,8 @@
 //! space.
 
 mod path;
+pub mod speed;
+#[cfg(test)]
+mod test_paths;
 
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};

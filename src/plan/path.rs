@@ -29,6 +29,38 @@ impl Path {
     pub fn length_m(&self) -> f64 {
         self.points.last().map_or(0.0, |p| p.s_m)
     }
+
+    /// The point at an arc length, clamped to the ends; `None` for an empty path.
+    pub fn at_distance(&self, s_m: f64) -> Option<PathPoint> {
+        at_distance(&self.points, s_m)
+    }
+
+    /// Ends the path at arc length `s_m`: the samples before it stay and an interpolated one
+    /// closes. A rest of less than a millimetre is dropped instead, so that the path gets no
+    /// longer than `s_m` and no edge so short that its direction is rounding noise.
+    pub fn cut(&mut self, s_m: f64) {
+        const SHORTEST_EDGE_M: f64 = 1e-3;
+        let Some(end) = self.at_distance(s_m) else { return };
+        if s_m >= self.length_m() {
+            return;
+        }
+        let keep = self.points.partition_point(|p| p.s_m <= s_m).max(1);
+        self.points.truncate(keep);
+        if end.s_m - self.length_m() >= SHORTEST_EDGE_M {
+            self.points.push(end);
+        }
+    }
+}
+
+/// The point of a sampled path at an arc length, clamped to the ends; `None` without samples.
+pub(super) fn at_distance(points: &[PathPoint], s_m: f64) -> Option<PathPoint> {
+    let next = points.partition_point(|p| p.s_m <= s_m);
+    if next == 0 {
+        return points.first().copied();
+    }
+    let a = &points[next - 1];
+    let Some(b) = points.get(next) else { return Some(*a) };
+    Some(between(a, b, (s_m - a.s_m) / (b.s_m - a.s_m)))
 }
 
 /// One sample of a trajectory.
@@ -125,7 +157,7 @@ impl Trajectory {
 
 /// Cubic Hermite interpolation between two samples: position and heading are continuous, and the
 /// position error on an arc of the tightest turn is below a tenth of a millimetre at 0.05 m.
-fn between(a: &PathPoint, b: &PathPoint, fraction: f64) -> PathPoint {
+pub(super) fn between(a: &PathPoint, b: &PathPoint, fraction: f64) -> PathPoint {
     let length = b.s_m - a.s_m;
     let (u, u2) = (fraction, fraction * fraction);
     let u3 = u2 * u;
@@ -190,6 +222,20 @@ mod tests {
             assert!((same.speed_mps - p.speed_mps).abs() < 1e-6);
             assert!((same.t_s - p.t_s).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn a_cut_path_ends_where_it_was_cut_and_lies_on_the_old_one() {
+        let whole = Path { points: quarter().points.iter().map(|p| p.path).collect() };
+        for i in 0..=100 {
+            let s = whole.length_m() * f64::from(i) / 100.0;
+            let mut path = whole.clone();
+            path.cut(s);
+            assert!(path.length_m() <= s + 1e-12 && path.length_m() > s - 1e-3, "{s}");
+            assert!(path.points.windows(2).all(|w| w[1].s_m > w[0].s_m));
+            assert_eq!(path.points.last().copied(), whole.at_distance(path.length_m()));
+        }
+        assert_eq!(Path::default().at_distance(1.0), None);
     }
 
     #[test]
