@@ -1,6 +1,7 @@
 //! From a map, a goal and a view of the unknown to a plan that always ends at rest in known free
 //! space.
 
+pub mod certify;
 mod path;
 pub mod speed;
 #[cfg(test)]

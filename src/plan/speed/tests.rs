@@ -126,12 +126,12 @@ fn cone_program(
         rhs.extend([0.0, 0.0, 2.0]);
         cones.push(SupportedConeT::SecondOrderConeT(3));
         // |(a, k b)| <= A at both ends.
-        for end in 0..2 {
+        for (end, point) in pair.iter().enumerate() {
             let row = rhs.len();
             entries.extend([
                 (row + 1, b + e, 0.5 / ds),
                 (row + 1, b + e + 1, -0.5 / ds),
-                (row + 2, b + e + end, -pair[end].curvature_pm.abs()),
+                (row + 2, b + e + end, -point.curvature_pm.abs()),
             ]);
             rhs.extend([limits.accel_limit_mps2, 0.0, 0.0]);
             cones.push(SupportedConeT::SecondOrderConeT(3));

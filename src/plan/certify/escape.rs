@@ -1,0 +1,136 @@
+//! Where a car that only drives forward may stop without being caught.
+//!
+//! A stop in known-free space is safe, but nose-on to a wall it may be the last: without reverse
+//! gear a turn by a quarter needs the turning radius plus the disc's radius ahead. The escape rule
+//! keeps stops away from such places. It is about getting on, not about safety: nothing here may
+//! be used to prove a plan safe, and nothing needs to.
+//!
+//! What each part gives, for a car at rest at the pose:
+//!
+//! - *A quarter arc*, left or right, at the turning radius. Facing a wall, its end is parallel to
+//!   the wall: the car can go on along it.
+//! - *A run straight ahead* as long as the turning radius: in a passage too narrow for the arcs
+//!   (a door, a corridor) the car may stop as long as the passage is seen to go on.
+//! - *A turn-round* ([`turn_round`]): a chain of arcs to the same axis, facing back. The way that
+//!   the car came is known free for the disc in either direction, so that after it the car is never
+//!   worse off than before. Only this one proves that a car gets out of a dead end, and it asks for
+//!   a width of twice the turning radius plus two disc radii; the other two are cheap necessary
+//!   conditions that keep the common cases alive.
+//!
+//! With [`Surfaces::OccupiedAndUnknown`] the arcs lie in space already seen: what they promise is
+//! kept whatever the unknown holds. With [`Surfaces::Occupied`] the unknown counts as free: stops
+//! may lie right at the frontier, and a wall just behind it can still catch the car.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
+
+use super::clearance::{Surfaces, contact};
+use crate::frames::Pose;
+use crate::map::Grid;
+use crate::plan::PathPoint;
+use crate::plan::path::at_distance;
+
+/// What a stop pose must leave open.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EscapeRule {
+    /// Radius of the disc that must stay clear (car and margin), metres.
+    pub radius_m: f64,
+    /// Radius of the tightest turn, metres.
+    pub turn_radius_m: f64,
+    /// What the disc must stay clear of.
+    pub surfaces: Surfaces,
+}
+
+/// A piece of constant curvature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Arc {
+    /// Length, metres.
+    pub length_m: f64,
+    /// Curvature, 1/m, positive to the left.
+    pub curvature_pm: f64,
+}
+
+impl EscapeRule {
+    /// The arc at the turning radius that turns by `turn_rad` (positive to the left).
+    fn arc(&self, turn_rad: f64) -> Arc {
+        Arc {
+            length_m: self.turn_radius_m * turn_rad.abs(),
+            curvature_pm: turn_rad.signum() / self.turn_radius_m,
+        }
+    }
+}
+
+/// Whether a car at rest at a pose has a way on: a quarter arc to the left or to the right, or a
+/// run straight ahead as long as the turning radius.
+pub fn has_escape(grid: &Grid, pose: Pose, rule: &EscapeRule) -> bool {
+    let ahead = Arc { length_m: rule.turn_radius_m, curvature_pm: 0.0 };
+    [ahead, rule.arc(FRAC_PI_2), rule.arc(-FRAC_PI_2)]
+        .iter()
+        .any(|arc| arc_clear(grid, pose, arc, rule).is_some())
+}
+
+/// The largest arc length, not above `s_max_m`, at which a stop leaves a way on: `s_max_m` itself
+/// or a sample of the path before it. `None` if there is none, not even at the path's start.
+pub fn last_escapable(
+    grid: &Grid,
+    path: &[PathPoint],
+    s_max_m: f64,
+    rule: &EscapeRule,
+) -> Option<f64> {
+    let escapes = |p: &PathPoint| {
+        let pose = Pose { position: p.position, heading_rad: p.heading_rad };
+        has_escape(grid, pose, rule)
+    };
+    let end = at_distance(path, s_max_m)?;
+    if escapes(&end) {
+        return Some(end.s_m);
+    }
+    let before = path.partition_point(|p| p.s_m < s_max_m);
+    path[..before].iter().rev().find(|p| escapes(p)).map(|p| p.s_m)
+}
+
+/// Arcs that turn the car round without reverse gear, the whole way clear: onto the same axis
+/// facing back where that is possible (a sixth of a turn out, five sixths of a circle, a sixth
+/// back), or to a parallel one. `None` if none of them is clear from this pose.
+pub fn turn_round(grid: &Grid, pose: Pose, rule: &EscapeRule) -> Option<Vec<Arc>> {
+    // Swinging out first by `swing` moves the axis of the way back from twice the turning radius
+    // to the side, at zero, to none at a sixth of a turn.
+    const SWINGS: [f64; 3] = [0.0, FRAC_PI_3 / 3.0, FRAC_PI_3 * 2.0 / 3.0];
+    let mut candidates = Vec::with_capacity(8);
+    for side in [1.0, -1.0] {
+        let out = rule.arc(-side * FRAC_PI_3);
+        candidates.push(vec![out, rule.arc(side * (PI + 2.0 * FRAC_PI_3)), out]);
+    }
+    for swing in SWINGS {
+        for side in [1.0, -1.0] {
+            let mut arcs = vec![rule.arc(side * (PI + swing))];
+            if swing > 0.0 {
+                arcs.insert(0, rule.arc(-side * swing));
+            }
+            candidates.push(arcs);
+        }
+    }
+    candidates.into_iter().find(|arcs| {
+        arcs.iter().try_fold(pose, |pose, arc| arc_clear(grid, pose, arc, rule)).is_some()
+    })
+}
+
+/// The pose at the end of an arc if the disc is clear all along it.
+fn arc_clear(grid: &Grid, start: Pose, arc: &Arc, rule: &EscapeRule) -> Option<Pose> {
+    const STEP_RAD: f64 = 0.1;
+    let turn = arc.length_m * arc.curvature_pm;
+    // Straight runs are one segment.
+    let pieces = (turn.abs() / STEP_RAD).ceil().max(1.0);
+    let (length, turn) = (arc.length_m / pieces, turn / pieces);
+    // Sagitta of a piece over its chord: R (1 - cos(turn / 2)).
+    let sagitta = 0.125 * length * turn.abs();
+    let mut pose = start;
+    for _ in 0..pieces as usize {
+        let next = pose.along_arc(length, turn);
+        let reach = rule.radius_m + sagitta;
+        if contact(grid, pose.position, next.position, reach, rule.surfaces).is_some() {
+            return None;
+        }
+        pose = next;
+    }
+    Some(pose)
+}
