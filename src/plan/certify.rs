@@ -23,9 +23,9 @@ use crate::tunables;
 use crate::vehicle::VehicleParams;
 
 pub use clearance::Surfaces;
-pub use escape::{Arc, EscapeRule, has_escape, last_escapable, turn_round};
+pub use escape::{Arc, EscapeRule, arcs_path, has_escape, last_escapable, turn_round};
 
-use clearance::{Contact, contact, edge_contact};
+use clearance::{Contact, contact, edge_contact, open_around};
 
 tunables! {
     /// What the safety proof of a plan adds to the car.
@@ -71,6 +71,8 @@ const MEASURED_CURVATURE_TOLERANCE: f64 = 0.01;
 /// Largest difference between the turn of the headings and the curvatures given, relative to the
 /// largest curvature. The friction check uses the sum.
 const CURVATURE_MISMATCH: f64 = 0.05;
+/// Edges looked at together first; most stretches are open.
+const GROUP: usize = 4;
 /// Relative tolerance of quantities that are only rounded.
 const ROUNDING: f64 = 1e-6;
 
@@ -336,10 +338,14 @@ pub fn clear_length_m(grid: &Grid, path: &[PathPoint], radius_m: f64) -> f64 {
     if blocked(first, first) {
         return 0.0;
     }
-    for edge in path.windows(2) {
-        if !blocked(&edge[0], &edge[1]) {
+    for start in (0..path.len() - 1).step_by(GROUP) {
+        let group = &path[start..(start + GROUP + 1).min(path.len())];
+        if open_around(grid, group.iter(), radius) {
             continue;
         }
+        let Some(edge) = group.windows(2).find(|edge| blocked(&edge[0], &edge[1])) else {
+            continue;
+        };
         let (mut clear, mut contact) = (0.0, 1.0);
         for _ in 0..5 {
             let middle = 0.5 * (clear + contact);
@@ -369,11 +375,19 @@ fn check_swept(
         state: c.state,
     };
     let mut a = start;
-    for p in &points[1..] {
-        if let Some(c) = edge_contact(grid, &a, &p.path, radius_m, Surfaces::OccupiedAndUnknown) {
-            return Err(violation(&a, &p.path, c));
+    for group in points[1..].chunks(GROUP) {
+        let ends = group.iter().map(|p| &p.path);
+        if open_around(grid, std::iter::once(&a).chain(ends), radius_m) {
+            a = group[group.len() - 1].path;
+            continue;
         }
-        a = p.path;
+        for p in group {
+            let found = edge_contact(grid, &a, &p.path, radius_m, Surfaces::OccupiedAndUnknown);
+            if let Some(c) = found {
+                return Err(violation(&a, &p.path, c));
+            }
+            a = p.path;
+        }
     }
     // Of a trajectory of one sample there is no edge.
     match contact(grid, a.position, a.position, radius_m, Surfaces::OccupiedAndUnknown) {
@@ -411,6 +425,14 @@ fn check_sample(sample: usize, p: &TrajectoryPoint, limits: &Limits) -> Result<(
     Ok(())
 }
 
+/// The turn from one direction to another, radians.
+#[inline]
+fn turn(from_rad: f64, to_rad: f64) -> f64 {
+    let difference = to_rad - from_rad;
+    // Mostly small already, and the remainder that wrapping takes is slow.
+    if difference.abs() < 3.0 { difference } else { wrap_angle(difference) }
+}
+
 /// Positions, arc length, headings and curvatures of one edge describe one curve.
 fn check_shape(
     sample: usize,
@@ -431,23 +453,23 @@ fn check_shape(
     let chord = b.position - a.position;
     let chord_m = chord.norm();
     // An arc of angle phi is longer than its chord by phi^2 / 24.
-    let turn = limits.curvature_max_pm * arc_m;
-    let shortest = arc_m * (1.0 - turn * turn / 20.0) - 2.0 * POSITION_TOLERANCE_M;
+    let tightest = limits.curvature_max_pm * arc_m;
+    let shortest = arc_m * (1.0 - tightest * tightest / 20.0) - 2.0 * POSITION_TOLERANCE_M;
     if chord_m > arc_m + 2.0 * POSITION_TOLERANCE_M || chord_m < shortest {
         return Err(Violation::Chord { sample: sample + 1, chord_m, arc_m });
     }
     let direction = chord.y.atan2(chord.x);
-    let allowed_rad = 0.5 * turn * (1.0 + MEASURED_CURVATURE_TOLERANCE)
+    let allowed_rad = 0.5 * tightest * (1.0 + MEASURED_CURVATURE_TOLERANCE)
         + HEADING_TOLERANCE_RAD
         + 2.0 * POSITION_TOLERANCE_M / arc_m;
     for (sample, heading) in [(sample, a.heading_rad), (sample + 1, b.heading_rad)] {
-        let angle_rad = wrap_angle(heading - direction).abs();
+        let angle_rad = turn(direction, heading).abs();
         if angle_rad > allowed_rad {
             return Err(Violation::Tangent { sample, angle_rad, allowed_rad });
         }
     }
     let given_pm = 0.5 * (a.curvature_pm + b.curvature_pm);
-    let turned_pm = wrap_angle(b.heading_rad - a.heading_rad) / arc_m;
+    let turned_pm = turn(a.heading_rad, b.heading_rad) / arc_m;
     let rounding = ROUNDING * ROUNDING / arc_m;
     if (turned_pm - given_pm).abs() > CURVATURE_MISMATCH * limits.curvature_max_pm + rounding {
         return Err(Violation::CurvatureMismatch { sample, turned_pm, given_pm });
@@ -505,7 +527,7 @@ fn check_motion(
         return Err(Violation::Motion { sample, what: "acceleration", value, expected });
     }
     let given = 0.5 * (a.path.curvature_pm + b.path.curvature_pm);
-    let turned = wrap_angle(b.path.heading_rad - a.path.heading_rad) / ds;
+    let turned = turn(a.path.heading_rad, b.path.heading_rad) / ds;
     let k0 = a.path.curvature_pm + (turned - given);
     let (dk, db) = (b.path.curvature_pm - a.path.curvature_pm, b1 - b0);
     let across = |u: f64| ((k0 + dk * u) * (b0 + db * u)).abs();

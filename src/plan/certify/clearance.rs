@@ -44,9 +44,9 @@ pub(super) struct Contact {
 pub(super) fn bulge_m(a: &PathPoint, b: &PathPoint) -> f64 {
     let chord = b.position - a.position;
     let length = chord.norm();
-    let ds = b.s_m - a.s_m;
+    let ds = (b.s_m - a.s_m).abs();
     if length <= 1e-9 {
-        return 0.25 * ds.abs();
+        return 0.25 * ds;
     }
     let lateral = |heading: f64| {
         let t = heading_vector(heading);
@@ -124,23 +124,71 @@ pub(super) fn contact(
 /// so the distance from inside to the outside is least at an end of the segment.
 fn contact_with_outside(grid: &Grid, a: Point, b: Point, reach_m: f64) -> Option<Contact> {
     let res = grid.resolution_m();
-    let r = grid.bounds();
+    let bounds = grid.bounds();
+    let low = Point::new(f64::from(bounds.x0) * res, f64::from(bounds.y0) * res);
+    let high = Point::new(f64::from(bounds.x1) * res, f64::from(bounds.y1) * res);
     for p in [a, b] {
-        let sides = [
-            (p.x - f64::from(r.x0) * res, Point::new(f64::from(r.x0 - 1) * res + 0.5 * res, p.y)),
-            (f64::from(r.x1) * res - p.x, Point::new(f64::from(r.x1) * res + 0.5 * res, p.y)),
-            (p.y - f64::from(r.y0) * res, Point::new(p.x, f64::from(r.y0 - 1) * res + 0.5 * res)),
-            (f64::from(r.y1) * res - p.y, Point::new(p.x, f64::from(r.y1) * res + 0.5 * res)),
-        ];
-        for (distance, beyond) in sides {
-            if distance < reach_m {
-                let cell = grid.cell_at(beyond);
-                let distance_m = distance.max(0.0);
-                return Some(Contact { cell, state: Cell::Unknown, distance_m });
-            }
+        let (from_low, from_high) = (p - low, high - p);
+        let distance = from_low.x.min(from_low.y).min(from_high.x).min(from_high.y);
+        if distance >= reach_m {
+            continue;
         }
+        let mut cell = grid.cell_at(p);
+        if distance == from_low.x {
+            cell.ix = cell.ix.min(bounds.x0 - 1);
+        } else if distance == from_high.x {
+            cell.ix = cell.ix.max(bounds.x1);
+        } else if distance == from_low.y {
+            cell.iy = cell.iy.min(bounds.y0 - 1);
+        } else {
+            cell.iy = cell.iy.max(bounds.y1);
+        }
+        let distance_m = distance.max(0.0);
+        return Some(Contact { cell, state: Cell::Unknown, distance_m });
     }
     None
+}
+
+/// Whether every stored cell around these positions is free, so far that no edge between them can
+/// touch another: a quick look that spares the edges' own. Says no where it cannot tell.
+pub(super) fn open_around<'a>(
+    grid: &Grid,
+    path: impl Iterator<Item = &'a PathPoint>,
+    radius_m: f64,
+) -> bool {
+    let (mut low, mut high) = (Point::new(f64::MAX, f64::MAX), Point::new(f64::MIN, f64::MIN));
+    let (mut before, mut longest) = (None::<f64>, 0.0_f64);
+    let mut finite = radius_m.is_finite();
+    for p in path {
+        finite &= p.position.x.is_finite() && p.position.y.is_finite() && p.s_m.is_finite();
+        low = Point::new(low.x.min(p.position.x), low.y.min(p.position.y));
+        high = Point::new(high.x.max(p.position.x), high.y.max(p.position.y));
+        longest = longest.max(before.map_or(0.0, |s| (p.s_m - s).abs()));
+        before = Some(p.s_m);
+    }
+    if !finite || before.is_none() {
+        return false;
+    }
+    // No curve bulges by more than a quarter of its edge's length (see `bulge_m`).
+    let reach = radius_m + 0.25 * longest;
+    let inverse = 1.0 / grid.resolution_m();
+    let bounds = grid.bounds();
+    let (x0, y0) = (((low.x - reach) * inverse).floor(), ((low.y - reach) * inverse).floor());
+    let (x1, y1) = (((high.x + reach) * inverse).ceil(), ((high.y + reach) * inverse).ceil());
+    let inside = x0 > f64::from(bounds.x0)
+        && y0 > f64::from(bounds.y0)
+        && x1 < f64::from(bounds.x1)
+        && y1 < f64::from(bounds.y1);
+    if !inside {
+        return false;
+    }
+    let (x0, x1, y0, y1) = (x0 as i32, x1 as i32, y0 as i32, y1 as i32);
+    let width = (x1 - x0) as usize;
+    (y0..y1).all(|iy| {
+        let start = grid.offset(CellIndex::new(x0, iy)).expect("the window is in bounds");
+        let row = &grid.cells()[start..start + width];
+        row.iter().fold(true, |free, c| free & (*c == Cell::Free))
+    })
 }
 
 /// Squared distance from a segment to a cell's closed square. Two disjoint convex polygons are

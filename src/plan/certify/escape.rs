@@ -23,11 +23,13 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
 
+use super::CertifyParams;
 use super::clearance::{Surfaces, contact};
 use crate::frames::Pose;
 use crate::map::Grid;
-use crate::plan::PathPoint;
 use crate::plan::path::at_distance;
+use crate::plan::{Path, PathPoint};
+use crate::vehicle::VehicleParams;
 
 /// What a stop pose must leave open.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,6 +52,15 @@ pub struct Arc {
 }
 
 impl EscapeRule {
+    /// The rule for a car, with the radius that its plans are certified with.
+    pub fn new(certify: &CertifyParams, vehicle: &VehicleParams, surfaces: Surfaces) -> Self {
+        Self {
+            radius_m: vehicle.radius_m + certify.margin_m,
+            turn_radius_m: vehicle.turn_radius_m,
+            surfaces,
+        }
+    }
+
     /// The arc at the turning radius that turns by `turn_rad` (positive to the left).
     fn arc(&self, turn_rad: f64) -> Arc {
         Arc {
@@ -112,6 +123,51 @@ pub fn turn_round(grid: &Grid, pose: Pose, rule: &EscapeRule) -> Option<Vec<Arc>
     candidates.into_iter().find(|arcs| {
         arcs.iter().try_fold(pose, |pose, arc| arc_clear(grid, pose, arc, rule)).is_some()
     })
+}
+
+/// A chain of arcs as a path with samples at most `spacing_m` (no less than a millimetre) apart. Where one arc meets the next
+/// the curvature changes linearly within two millimetres: too short to matter for where the path
+/// leads, long enough to be a path like any other.
+pub fn arcs_path(start: Pose, arcs: &[Arc], spacing_m: f64) -> Path {
+    const HALF_JOIN_M: f64 = 1e-3;
+    let mut pose = start;
+    let mut path = Path::default();
+    let mut push = |pose: &Pose, s_m: f64, curvature_pm: f64| {
+        path.points.push(PathPoint {
+            s_m,
+            position: pose.position,
+            heading_rad: pose.heading_rad,
+            curvature_pm,
+        });
+    };
+    let mut s = 0.0;
+    // Curvature and half length of the join that leads to the next arc.
+    let mut join = None::<(f64, f64)>;
+    let driven = arcs.iter().filter(|a| a.length_m > 0.0);
+    let mut driven = driven.peekable();
+    while let Some(arc) = driven.next() {
+        let k = arc.curvature_pm;
+        let mut length = arc.length_m;
+        if let Some((before, half)) = join {
+            pose = pose.along_arc(2.0 * half, (before + k) * half);
+            s += 2.0 * half;
+            length -= half;
+        }
+        push(&pose, s, k);
+        join = driven.peek().map(|next| {
+            let half = HALF_JOIN_M.min(0.25 * arc.length_m).min(0.25 * next.length_m);
+            length -= half;
+            (k, half)
+        });
+        let pieces = (length / spacing_m.max(HALF_JOIN_M)).ceil().max(1.0);
+        let ds = length / pieces;
+        for _ in 0..pieces as usize {
+            pose = pose.along_arc(ds, k * ds);
+            s += ds;
+            push(&pose, s, k);
+        }
+    }
+    path
 }
 
 /// The pose at the end of an arc if the disc is clear all along it.

@@ -475,6 +475,23 @@ fn a_turn_round_faces_back_and_needs_two_turning_radii_of_width() {
     assert!((end(start, &arcs).position - Point::new(2.0, 1.0)).norm() < 1e-9);
 }
 
+#[test]
+fn a_turn_round_is_a_plan_like_any_other() {
+    let corridor = room(0.1, (0.0, -0.8), (6.0, 0.8));
+    let start = Pose::new(2.0, 0.0, 0.0);
+    let strict = rule(Surfaces::OccupiedAndUnknown);
+    let path = arcs_path(start, &turn_round(&corridor, start, &strict).unwrap(), 0.05);
+    let t = driven(&path);
+    certify(&t, &corridor, &limits()).unwrap();
+    let end = t.last().path;
+    assert!((end.position - start.position).norm() < 1e-4);
+    assert!((end.heading_rad.abs() - PI).abs() < 1e-9);
+    // Then all the way back out.
+    let out = Pose { position: end.position, heading_rad: end.heading_rad };
+    certify(&driven(&straight(out, 1.7, 0.05)), &corridor, &limits()).unwrap();
+    assert_eq!(arcs_path(start, &[], 0.05), Path::default());
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 

@@ -292,6 +292,33 @@ fn no_feasible_profile_is_faster_anywhere_under_monotone_caps() {
 }
 
 #[test]
+fn between_samples_the_circle_is_left_by_at_most_one_percent() {
+    // Edges of 0.05 m at curvatures up to 2 per metre, driven at the limit of both ends.
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let circle = Circle::new(8.0, &limits(20.0));
+    let d = 0.1;
+    let mut worst = 0.0_f64;
+    for _ in 0..200_000 {
+        let (k0, k1) = (rng.random_range(0.0..2.0_f64), rng.random_range(-2.0..2.0_f64));
+        let b = rng.random_range(0.0..1.0_f64) * (8.0 / k0).min(16.0);
+        for end in
+            [circle.fastest_after(b, k0, k1.abs(), d), circle.slowest_after(b, k0, k1.abs(), d)]
+        {
+            let along = (end - b) / d;
+            if along.hypot(k0 * b).max(along.hypot(k1 * end)) > 8.0 * (1.0 + 1e-9) {
+                continue; // too fast for the curvature at the end: no profile gets here
+            }
+            for j in 1..20 {
+                let u = f64::from(j) / 20.0;
+                let lateral = (k0 + (k1 - k0) * u) * (b + (end - b) * u);
+                worst = worst.max(along.hypot(lateral) / 8.0);
+            }
+        }
+    }
+    assert!(worst > 1.003 && worst < 1.0105, "{worst}");
+}
+
+#[test]
 fn a_start_that_cannot_stop_in_time_is_refused_with_the_speed_that_could() {
     let path = straight(origin(), 0.5, 0.05);
     let limits = limits(8.0);
