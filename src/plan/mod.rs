@@ -6,5 +6,8 @@ mod path;
 pub mod speed;
 #[cfg(test)]
 mod test_paths;
+pub mod bubbles;
+mod path;
+pub mod smooth;
 
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
