@@ -2,5 +2,6 @@
 //! space.
 
 mod path;
+pub mod search;
 
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
