@@ -9,5 +9,6 @@ mod test_paths;
 pub mod bubbles;
 mod path;
 pub mod smooth;
+pub mod search;
 
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
