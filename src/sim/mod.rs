@@ -2,3 +2,5 @@
 //! `guard`, so a mistake there cannot cancel itself here. Only `rig` joins it to the core.
 
 pub mod drive;
+pub mod maze;
+pub mod world;
