@@ -22,9 +22,12 @@ pub struct ForceSetpoint {
 /// How to come to rest from here on without any further word: the newest committed plan, cut to the
 /// stretch that a stop needs.
 ///
-/// Positions are in the car's own odometry, which both sides know exactly: `distance_m` counts from
-/// the controller's own `travelled_m == anchor_travelled_m`, and the direction of the path there is
-/// `turned_rad == anchor_turned_rad` (see [`Odometry`](crate::scan::Odometry)).
+/// Its place is given in the car's own odometry, which both sides know exactly: when the controller
+/// stood at `travelled_m == anchor_travelled_m`, the car was abreast of the first sample,
+/// `anchor_offset_m` to the left of it, and the path's direction there is
+/// `turned_rad == anchor_turned_rad` (see [`Odometry`](crate::scan::Odometry)). The controller
+/// remembers where it was at the anchor, lays the curve out from there
+/// ([`TailCurve`](crate::tail::TailCurve)) and steers back onto it.
 #[derive(Clone, Debug, PartialEq, Default)]
 pub struct BrakingTail {
     /// Number of the committed plan it belongs to, wrapping.
@@ -33,6 +36,8 @@ pub struct BrakingTail {
     pub anchor_travelled_m: f64,
     /// The controller's turned angle along the path's direction where the tail begins, radians.
     pub anchor_turned_rad: f64,
+    /// How far the car was to the left of the path at the anchor, metres.
+    pub anchor_offset_m: f64,
     /// Distance between samples, metres.
     pub spacing_m: f64,
     /// Samples from the anchor on; the last one has speed zero.

@@ -10,13 +10,17 @@
 //! tree and which module may use which.
 
 pub mod command;
+pub mod control;
 pub mod frames;
+pub mod localize;
 pub mod map;
 pub mod mapfile;
+pub mod odometry;
 pub mod plan;
 pub mod predict;
 pub mod scan;
 pub mod sim;
+pub mod tail;
 pub mod time;
 pub mod tunable;
 pub mod units;

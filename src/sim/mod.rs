@@ -1,6 +1,8 @@
 //! The simulated world, car and bus. Geometry of its own: nothing here uses `map`, `plan` or
 //! `guard`, so a mistake there cannot cancel itself here. Only `rig` joins it to the core.
 
+pub mod car;
+pub mod controller;
 pub mod drive;
 pub mod maze;
 pub mod world;
