@@ -12,6 +12,7 @@
 pub mod command;
 pub mod frames;
 pub mod map;
+pub mod params;
 pub mod plan;
 pub mod predict;
 pub mod scan;
