@@ -16,6 +16,7 @@ pub mod params;
 pub mod plan;
 pub mod predict;
 pub mod scan;
+pub mod shell;
 pub mod sim;
 pub mod time;
 pub mod tunable;
