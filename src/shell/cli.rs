@@ -1,0 +1,366 @@
+//! The command line's grammar.
+
+use std::path::PathBuf;
+
+use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+
+use super::sil::{Latency, SilRequest, WorldSource};
+use crate::frames::{Point, Pose};
+use crate::params::Params;
+
+/// Drives an RC-scale car fast and safely through places it has never seen.
+///
+/// Exit codes: 0 done and goal reached; 1 the run failed (stuck, out of time, collision,
+/// unreachable); 2 bad usage or bad input; 78 bad configuration (file, environment or --set).
+#[derive(Debug, Parser)]
+#[command(name = "apexd", version)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Log more to standard error; twice for even more.
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    pub verbose: u8,
+}
+
+/// What the program can do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Drive a simulated car to a goal, in virtual time.
+    Sil(Box<SilArgs>),
+    /// Write a maze as ROS map_server files.
+    Maze(MazeArgs),
+    /// Print the table of parameters.
+    Params(ParamsArgs),
+    /// Say what is wrong with a configuration file.
+    Check(CheckArgs),
+}
+
+/// Options of `apexd sil`.
+#[derive(Args, Debug)]
+pub struct SilArgs {
+    /// Drive through the random maze with this number.
+    #[arg(long, value_name = "SEED", default_value_t = 1, help_heading = "World")]
+    pub maze: u64,
+    /// Kind of maze.
+    #[arg(long, value_enum, default_value_t = Family::Thin, help_heading = "World")]
+    pub family: Family,
+    /// Drive through a ROS map_server map instead of a maze.
+    #[arg(
+        long,
+        value_name = "FILE.yaml",
+        conflicts_with_all = ["maze", "family"],
+        requires_all = ["start", "goal"],
+        help_heading = "World"
+    )]
+    pub map: Option<PathBuf>,
+    /// Where the car begins: metres in the map frame, degrees counter-clockwise from map x. A maze
+    /// has a start of its own.
+    #[arg(
+        long,
+        value_name = "X,Y,DEG",
+        value_parser = pose,
+        allow_hyphen_values = true,
+        help_heading = "World"
+    )]
+    pub start: Option<Pose>,
+    /// Where it is to go: metres in the map frame. A maze has a goal of its own.
+    #[arg(
+        long,
+        value_name = "X,Y",
+        value_parser = point,
+        allow_hyphen_values = true,
+        help_heading = "World"
+    )]
+    pub goal: Option<Point>,
+
+    /// How to plan.
+    #[arg(long, value_enum, default_value_t = Policy::MapPredictive, help_heading = "Planning")]
+    pub policy: Policy,
+    /// What the planner is told about space that it has not seen.
+    #[arg(long, value_enum, default_value_t = Predictor::None, help_heading = "Planning")]
+    pub predictor: Predictor,
+    /// Largest speed, m/s.
+    #[arg(long, value_name = "M/S", value_parser = positive, help_heading = "Planning")]
+    pub speed_max: Option<f64>,
+    /// How far the lidar sees, metres.
+    #[arg(long, value_name = "METRES", value_parser = positive, help_heading = "Planning")]
+    pub lidar_range: Option<f64>,
+    /// How far from what is known predictions reach, metres.
+    #[arg(long, value_name = "METRES", value_parser = positive, help_heading = "Planning")]
+    pub prediction_range: Option<f64>,
+
+    /// Seed of everything random during the drive (sensor noise, the random predictor).
+    #[arg(long, default_value_t = 1, help_heading = "Simulation")]
+    pub seed: u64,
+    /// Time from a scan to the plan made from it: this many seconds, or as long as planning really
+    /// takes on this machine (`measured`; then a drive cannot be repeated exactly).
+    #[arg(
+        long,
+        value_name = "measured|SECONDS",
+        value_parser = latency,
+        default_value = "0.02",
+        help_heading = "Simulation"
+    )]
+    pub latency: Latency,
+    /// Give up after this many simulated seconds; ten times the known-map time if not given.
+    #[arg(long, value_name = "SECONDS", value_parser = positive, help_heading = "Simulation")]
+    pub time_limit: Option<f64>,
+    /// Run as fast as the clock on the wall instead of as fast as possible.
+    #[arg(long, help_heading = "Simulation")]
+    pub realtime: bool,
+
+    /// Configuration file (TOML) over the built-in defaults.
+    #[arg(long, value_name = "FILE", help_heading = "Configuration")]
+    pub config: Option<PathBuf>,
+    /// Set one parameter, over file and environment (`apexd params` has them all); may be repeated.
+    #[arg(
+        long,
+        value_name = "SECTION.KEY=VALUE",
+        allow_hyphen_values = true,
+        help_heading = "Configuration"
+    )]
+    pub set: Vec<String>,
+
+    /// Folder for pictures and figures; runs/<UTC time> if not given.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Print the figures as one JSON object instead of the summary.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+}
+
+impl SilArgs {
+    /// The drive that these options ask for.
+    pub fn request(&self, params: Params, out: PathBuf) -> SilRequest {
+        let world = match &self.map {
+            Some(file) => WorldSource::Map { file: file.clone() },
+            None => WorldSource::Maze { seed: self.maze, family: self.family },
+        };
+        SilRequest {
+            world,
+            start: self.start,
+            goal: self.goal,
+            policy: self.policy,
+            predictor: self.predictor,
+            speed_max_mps: self.speed_max,
+            lidar_range_m: self.lidar_range,
+            prediction_range_m: self.prediction_range,
+            seed: self.seed,
+            latency: self.latency,
+            time_limit_s: self.time_limit,
+            realtime: self.realtime,
+            params,
+            out,
+        }
+    }
+}
+
+/// Options of `apexd maze`.
+#[derive(Args, Debug)]
+pub struct MazeArgs {
+    /// Number of the maze.
+    #[arg(long)]
+    pub seed: u64,
+    /// Kind of maze.
+    #[arg(long, value_enum, default_value_t = Family::Thin)]
+    pub family: Family,
+    /// The YAML file to write; the picture is put beside it.
+    #[arg(long, value_name = "FILE.yaml")]
+    pub out: PathBuf,
+}
+
+/// Options of `apexd params`.
+#[derive(Args, Clone, Copy, Debug)]
+pub struct ParamsArgs {
+    /// As one JSON object.
+    #[arg(long)]
+    pub json: bool,
+    /// As a Markdown page.
+    #[arg(long, conflicts_with = "json")]
+    pub markdown: bool,
+}
+
+/// Options of `apexd check`.
+#[derive(Args, Debug)]
+pub struct CheckArgs {
+    /// The file to check.
+    pub file: PathBuf,
+    /// As one JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Kinds of mazes, all on 10 x 10 cells of 2.5 m.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Family {
+    /// One winding way through most of the area, thin walls between its stretches.
+    Thin,
+    /// One way, everything off it solid.
+    Solid,
+    /// Dead ends and loops.
+    Branching,
+}
+
+/// Ways to plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Policy {
+    /// Through known and unknown space at once, weighed by the prediction.
+    MapPredictive,
+    /// To the frontier nearest the goal, then on from there.
+    Frontier,
+    /// With the whole map known beforehand: the reference.
+    KnownMap,
+}
+
+/// What the planner is told about unknown space. None of them can make a drive unsafe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Predictor {
+    /// Nothing: free and occupied are equally likely.
+    None,
+    /// The truth, within the prediction range.
+    Oracle,
+    /// Noise.
+    Random,
+    /// The contrary of the truth.
+    Inverted,
+}
+
+/// The name of a value on the command line.
+pub(super) fn name_of(value: &impl ValueEnum) -> String {
+    value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+/// `N` numbers separated by commas.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let parsed: Option<Vec<f64>> = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>().ok().filter(|v| v.is_finite()))
+        .collect();
+    parsed?.try_into().ok()
+}
+
+fn pose(text: &str) -> Result<Pose, String> {
+    let [x, y, degrees] = numbers(text).ok_or(
+        "wanted are three numbers X,Y,DEG: metres, metres and degrees, as in 1.25,1.25,90",
+    )?;
+    Ok(Pose::new(x, y, crate::frames::wrap_angle(degrees.to_radians())))
+}
+
+fn point(text: &str) -> Result<Point, String> {
+    let [x, y] =
+        numbers(text).ok_or("wanted are two numbers X,Y: metres and metres, as in 23.75,23.75")?;
+    Ok(Point::new(x, y))
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
+    value.ok_or_else(|| "wanted is a number above zero".to_owned())
+}
+
+fn latency(text: &str) -> Result<Latency, String> {
+    if text == "measured" {
+        return Ok(Latency::Measured);
+    }
+    let seconds = text.trim().parse::<f64>().ok().filter(|v| (0.0..=1.0).contains(v));
+    seconds
+        .map(Latency::Fixed)
+        .ok_or_else(|| "wanted is `measured` or a number of seconds from 0 to 1".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+    use clap::error::ErrorKind;
+
+    fn sil(arguments: &str) -> Result<SilArgs, clap::Error> {
+        let words = ["apexd", "sil"].into_iter().chain(arguments.split_whitespace());
+        match Cli::try_parse_from(words)?.command {
+            Command::Sil(args) => Ok(*args),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn request(arguments: &str) -> SilRequest {
+        sil(arguments).unwrap().request(Params::default(), "out".into())
+    }
+
+    #[test]
+    fn the_grammar_is_sound() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_and_option_has_a_help_text() {
+        for command in Cli::command().get_subcommands() {
+            assert!(command.get_about().is_some(), "{}", command.get_name());
+            for option in command.get_arguments() {
+                let text = option.get_help().map(ToString::to_string).unwrap_or_default();
+                assert!(!text.is_empty(), "{} {}", command.get_name(), option.get_id());
+            }
+        }
+    }
+
+    #[test]
+    fn without_options_a_thin_maze_is_driven() {
+        let request = request("");
+        assert_eq!(request.world, WorldSource::Maze { seed: 1, family: Family::Thin });
+        assert_eq!((request.start, request.goal), (None, None));
+        assert_eq!(request.policy, Policy::MapPredictive);
+        assert_eq!(request.latency, Latency::Fixed(0.02));
+        assert!(!request.realtime);
+    }
+
+    #[test]
+    fn every_option_reaches_the_request() {
+        let request = request(
+            "--maze 7 --family branching --start -1.5,2,-90 --goal -3,4.25 --policy known-map \
+             --predictor inverted --speed-max 8 --lidar-range 5 --prediction-range 2.5 --seed 9 \
+             --latency measured --time-limit 60 --realtime",
+        );
+        assert_eq!(request.world, WorldSource::Maze { seed: 7, family: Family::Branching });
+        assert_eq!(request.start, Some(Pose::new(-1.5, 2.0, -std::f64::consts::FRAC_PI_2)));
+        assert_eq!(request.goal, Some(Point::new(-3.0, 4.25)));
+        assert_eq!((request.policy, request.predictor), (Policy::KnownMap, Predictor::Inverted));
+        assert_eq!((request.speed_max_mps, request.lidar_range_m), (Some(8.0), Some(5.0)));
+        assert_eq!((request.prediction_range_m, request.time_limit_s), (Some(2.5), Some(60.0)));
+        assert_eq!((request.seed, request.latency, request.realtime), (9, Latency::Measured, true));
+    }
+
+    #[test]
+    fn a_map_needs_start_and_goal_and_excludes_a_maze() {
+        let missing = sil("--map a.yaml --goal 1,2").unwrap_err();
+        assert_eq!(missing.kind(), ErrorKind::MissingRequiredArgument);
+        let both = sil("--map a.yaml --maze 3 --start 0,0,0 --goal 1,2").unwrap_err();
+        assert_eq!(both.kind(), ErrorKind::ArgumentConflict);
+        let request = request("--map a.yaml --start 0,0,0 --goal 1,2");
+        assert_eq!(request.world, WorldSource::Map { file: "a.yaml".into() });
+    }
+
+    #[test]
+    fn bad_values_are_refused_with_what_is_wanted() {
+        for (arguments, wanted) in [
+            ("--start 1,2", "three numbers X,Y,DEG"),
+            ("--start 1,2,nan", "three numbers X,Y,DEG"),
+            ("--goal 1,2,3", "two numbers X,Y"),
+            ("--goal one,two", "two numbers X,Y"),
+            ("--goal 1;2", "two numbers X,Y"),
+            ("--speed-max 0", "above zero"),
+            ("--speed-max inf", "above zero"),
+            ("--latency soon", "`measured` or a number of seconds"),
+            ("--latency -0.1", "a value is required"),
+            ("--latency=-0.1", "`measured` or a number of seconds"),
+            ("--latency 2", "`measured` or a number of seconds"),
+            ("--time-limit -5", "a value is required"),
+            ("--policy best", "map-predictive"),
+            ("--predictor magic", "oracle"),
+        ] {
+            let error = sil(arguments).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{arguments}");
+            let text = error.to_string();
+            let hinted = text.contains(wanted) || wanted == "a value is required";
+            assert!(hinted, "{arguments}: {text}");
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! What a simulated drive is asked for and what it says while it lasts.
+
+use std::path::{Path, PathBuf};
+
+use super::cli::{Family, Policy, Predictor, name_of};
+use super::report::{DriveRecord, outcome_text};
+use crate::frames::{Point, Pose};
+use crate::params::Params;
+use crate::sim::drive::{Spread, Summary};
+
+/// Where the walls come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum WorldSource {
+    /// A random maze.
+    Maze {
+        /// Its number.
+        seed: u64,
+        /// Its kind.
+        family: Family,
+    },
+    /// A ROS map_server map.
+    Map {
+        /// Its YAML file.
+        file: PathBuf,
+    },
+}
+
+/// Time from a scan to the plan made from it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Latency {
+    /// As long as planning takes on the wall clock.
+    Measured,
+    /// This many seconds.
+    Fixed(f64),
+}
+
+/// One drive, with every option checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SilRequest {
+    /// Where to drive.
+    pub world: WorldSource,
+    /// Where to begin, map frame; the maze's own start if not given. Always given with a map.
+    pub start: Option<Pose>,
+    /// Where to go, map frame; the maze's own goal if not given. Always given with a map.
+    pub goal: Option<Point>,
+    /// How to plan.
+    pub policy: Policy,
+    /// What the planner is told about unknown space.
+    pub predictor: Predictor,
+    /// Largest speed, m/s, positive; the parameter if not given.
+    pub speed_max_mps: Option<f64>,
+    /// Range of the lidar, metres, positive; the parameter if not given.
+    pub lidar_range_m: Option<f64>,
+    /// Range of predictions, metres, positive; the parameter if not given.
+    pub prediction_range_m: Option<f64>,
+    /// Seed of everything random during the drive.
+    pub seed: u64,
+    /// Time from a scan to its plan.
+    pub latency: Latency,
+    /// Give up after this many simulated seconds.
+    pub time_limit_s: Option<f64>,
+    /// Keep pace with the wall clock.
+    pub realtime: bool,
+    /// The validated parameters.
+    pub params: Params,
+    /// Folder for the report; it exists.
+    pub out: PathBuf,
+}
+
+impl SilRequest {
+    /// What is driven, in a few words: world, policy and predictor.
+    pub fn title(&self) -> String {
+        let world = match &self.world {
+            WorldSource::Maze { seed, family } => format!("maze {seed} ({})", name_of(family)),
+            WorldSource::Map { file } => {
+                file.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into())
+            }
+        };
+        let predictor = match (self.policy, self.predictor) {
+            (Policy::MapPredictive, predictor) => format!(", {}", name_of(&predictor)),
+            _ => String::new(),
+        };
+        format!("{world} · {}{predictor}", name_of(&self.policy))
+    }
+}
+
+/// How far a drive has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Progress {
+    /// Simulated time, seconds.
+    pub time_s: f64,
+    /// Speed, m/s.
+    pub speed_mps: f64,
+    /// Way driven, metres.
+    pub distance_m: f64,
+    /// Way to the goal as the planner now sees it, metres.
+    pub remaining_m: f64,
+    /// Planning steps so far.
+    pub replans: u64,
+}
+
+/// Why a drive or a maze did not come about.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// What was asked for is impossible: a file that cannot be read, a start inside a wall.
+    #[error("{0}")]
+    Input(Box<dyn std::error::Error + Send + Sync>),
+    /// It was possible, but did not work.
+    #[error("{0}")]
+    Failed(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// What the command line drives.
+pub trait Simulator {
+    /// Drives to the end, calling `progress` now and then.
+    fn drive(
+        &self,
+        request: &SilRequest,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Result<DriveRecord, RunError>;
+
+    /// Writes a maze as map_server files: `out` and a picture beside it.
+    fn write_maze(&self, seed: u64, family: Family, out: &Path) -> Result<(), RunError>;
+}
+
+/// The summary for a person, without a line break at its end.
+pub fn summary_text(summary: &Summary) -> String {
+    let s = summary;
+    let mean_mps = if s.time_s > 0.0 { s.path_m / s.time_s } else { 0.0 };
+    let clearance = if s.min_clearance_m.is_finite() {
+        format!("{:.2} m", s.min_clearance_m)
+    } else {
+        "no wall near".to_owned()
+    };
+    let lines = [
+        format!("{} after {:.2} s", outcome_text(s.outcome), s.time_s),
+        format!("  path            {:.1} m, mean {mean_mps:.2} m/s", s.path_m),
+        format!("  clearance       {clearance}"),
+        format!(
+            "  safety          {} collisions, {} unknown entries, {} guard stops",
+            s.collisions, s.unknown_entries, s.guard_stops
+        ),
+        format!(
+            "  planning        {} steps, {} plans rejected, {:.1} candidates a step",
+            s.replans, s.plans_rejected, s.candidates
+        ),
+        format!("  planning time   {}", spread_text(&s.plan_ms)),
+        format!("  predicting      {}", spread_text(&s.predict_ms)),
+        format!("  age of scan     {}", spread_text(&s.age_ms)),
+        format!("  simulated at    {:.1} times real time", s.realtime_factor),
+        format!("  setpoints       digest {}", s.digest),
+    ];
+    lines.join("\n")
+}
+
+fn spread_text(spread: &Spread) -> String {
+    format!("{:.2} ms p50, {:.2} ms p99, {:.2} ms max", spread.p50, spread.p99, spread.max)
+}
