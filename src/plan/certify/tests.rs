@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::frames::{Point, heading_vector};
-use crate::map::CellRect;
+use crate::map::{Cell, CellIndex, CellRect};
 use crate::plan::Path;
 use crate::plan::speed::{End, SpeedLimits, SpeedProfiler, SpeedTask};
 use crate::plan::test_paths::{from_curvature, hairpins, random, straight};
@@ -146,6 +146,26 @@ fn a_path_three_centimetres_into_the_wall_is_refused() {
     let Violation::Swept { distance_m, needed_m, .. } = error else { panic!("{error}") };
     assert!((distance_m - 0.23).abs() < 1e-9 && (needed_m - RADIUS).abs() < 1e-9);
     assert!(error.to_string().contains("0.2300 m to Occupied cell (-1, 3)"), "{error}");
+}
+
+#[test]
+fn the_curve_counts_where_its_chord_would_pass() {
+    // The corner of a cell lies outward of the middle of an edge of the tightest turn, whose arc
+    // comes 0.6 mm nearer than its chord.
+    let mut grid = hall();
+    grid.set(CellIndex::new(10, 10), Cell::Occupied);
+    let passes = |distance: f64| {
+        let outward = heading_vector(FRAC_PI_2 / 2.0);
+        let centre = Point::new(1.0, 1.0) - outward * (0.5 + distance);
+        let first = FRAC_PI_2 / 2.0 - 5.5 * 0.05 / 0.5;
+        let start =
+            Pose { position: centre + heading_vector(first) * 0.5, heading_rad: first + FRAC_PI_2 };
+        let t = driven(&from_curvature(start, &[2.0; 12], 0.05));
+        assert!((brute_swept(&grid, &t) - distance).abs() < 1e-5);
+        certify(&t, &grid, &limits()).is_ok()
+    };
+    assert!(!passes(RADIUS - 3e-4));
+    assert!(passes(RADIUS + 1e-4));
 }
 
 #[test]
