@@ -33,8 +33,9 @@ const LITERAL_FACTOR_MAX: f64 = 900.0;
 const BLOCK_SHIFT: u32 = 3;
 /// The largest window that is searched, cells (a square of 280 m at 0.1 m).
 const CELLS_MAX: usize = 8_000_000;
-/// The longest way in units of cost; what exceeds it is not followed.
-const COST_MAX: u32 = u32::MAX - 2 * SPAN as u32;
+/// The longest way in units of cost; what exceeds it is not followed. With one more step it still
+/// fits into a [`Node`].
+const COST_MAX: u32 = (u32::MAX >> STEP_BITS) - SPAN as u32;
 
 /// Steps to the eight neighbours: four straight ones, then four diagonal ones, each diagonal `i`
 /// between the straight ones `i - 4` and `(i - 3) % 4`.
@@ -44,9 +45,6 @@ const STEPS: [(i32, i32); 8] =
 /// has the same weight: every other neighbour is reached at less cost from the cell before.
 const AHEAD: [[usize; 3]; 8] =
     [[0, 4, 7], [1, 4, 5], [2, 5, 6], [3, 6, 7], [0, 1, 4], [1, 2, 5], [2, 3, 6], [0, 3, 7]];
-const ALL: [usize; 8] = [0, 1, 2, 3, 4, 5, 6, 7];
-/// In place of a step: the search starts here.
-const NO_STEP: u32 = 8;
 
 /// Why there is no way.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -91,24 +89,19 @@ pub enum SearchError {
         /// How many cells were expanded.
         expanded: usize,
     },
-    /// The search ran out of numbers: only ways longer than about 60 km of surely blocked unknown
-    /// are left. Proves nothing.
+    /// The search ran out of numbers: only ways longer than 1.9 million known-free cells, or 4000
+    /// cells that are foreseen to be surely occupied, are left. Proves nothing.
     #[error("every way to the goal is too long to search")]
     TooLong,
 }
 
-/// One cell of the search.
-#[derive(Clone, Copy, Default)]
-struct Node {
-    /// Cost from the start.
-    g: u32,
-    /// Number of the search, whether closed, step by which it was reached.
-    tag: u32,
-}
-
-const TAG_BITS: u32 = 5;
-const CLOSED: u32 = 1 << 4;
-const STEP_MASK: u32 = 15;
+/// One cell of the search in a word: the cost from the start, then the step by which it was
+/// reached in [`STEP_BITS`] bits. Small words keep the search in the cache.
+type Node = u32;
+/// A cell that was not reached.
+const UNREACHED: Node = Node::MAX;
+const STEP_BITS: u32 = 4;
+const STEP_MASK: u32 = (1 << STEP_BITS) - 1;
 
 /// The rectangle searched, with a ring of blocked cells around it, as flat arrays.
 pub(super) struct Window {
@@ -161,6 +154,14 @@ impl Window {
     #[inline]
     pub(super) fn index(&self, x: u32, y: u32) -> usize {
         y as usize * self.stride + x as usize
+    }
+
+    /// Weights around a cell in the order of [`STEPS`].
+    #[inline(always)]
+    fn around(&self, at: usize) -> [u16; 8] {
+        let (s, w) = (self.stride, &self.weights);
+        let (low, row, high) = (&w[at - s - 1..][..3], &w[at - 1..][..3], &w[at + s - 1..][..3]);
+        [row[2], high[1], row[0], low[1], high[2], high[0], low[0], low[2]]
     }
 
     /// Centre of a cell, map frame.
@@ -236,6 +237,17 @@ impl Asker<'_> {
             window.weights[*at as usize] = self.pricing.weight(*phi);
         }
     }
+
+    /// Asks for whatever is still unasked in the square of three cells around one.
+    fn ask_around(&mut self, window: &mut Window, block: &mut Block, x: u32, y: u32) {
+        for y in y - 1..=y + 1 {
+            for x in x - 1..=x + 1 {
+                if window.weights[window.index(x, y)] == UNASKED {
+                    self.ask(window, block, x, y);
+                }
+            }
+        }
+    }
 }
 
 /// What counts as having arrived, in cells of the window.
@@ -272,8 +284,8 @@ impl Target {
 pub struct GuideSearch {
     window: Window,
     nodes: Vec<Node>,
-    /// Number of the present search; tags of other searches are void.
-    generation: u32,
+    /// Whether a cell has been expanded (with [`Penalty::Literal`] alone).
+    closed: Vec<bool>,
     queue: Buckets,
     heap: BinaryHeap<(Reverse<u64>, u32, u32)>,
     block: Block,
@@ -298,7 +310,7 @@ impl GuideSearch {
                 weights: Vec::new(),
             },
             nodes: Vec::new(),
-            generation: 0,
+            closed: Vec::new(),
             queue: Buckets::new(),
             heap: BinaryHeap::new(),
             block: Block::default(),
@@ -331,7 +343,8 @@ impl GuideSearch {
         check(terrain, query)?;
         let rect = window_rect(terrain, query, params.border_m)?;
         self.window.fill(terrain, rect, if query.through_unknown { UNASKED } else { BLOCKED });
-        self.begin();
+        self.nodes.clear();
+        self.nodes.resize(self.window.weights.len(), UNREACHED);
 
         let start = self.start_cell(terrain, query)?;
         let target = self.target(terrain, query)?;
@@ -345,22 +358,13 @@ impl GuideSearch {
             },
             asked: 0,
         };
-        self.ask_around(&mut asker, start.0, start.1);
+        asker.ask_around(&mut self.window, &mut self.block, start.0, start.1);
         let (end, expanded) = match params.penalty {
             Penalty::Edge => self.run_edge(start, target, &mut asker)?,
             Penalty::Literal => self.run_literal(start, target, &mut asker)?,
         };
         let asked = asker.asked;
         Ok(self.guide(terrain, query, target, end, expanded, asked))
-    }
-
-    fn begin(&mut self) {
-        self.nodes.resize(self.window.weights.len().max(self.nodes.len()), Node::default());
-        self.generation += 1;
-        if self.generation >> (32 - TAG_BITS) != 0 {
-            self.nodes.fill(Node::default());
-            self.generation = 1;
-        }
     }
 
     /// The start's cell, or the nearest one within two cells that may be entered.
@@ -426,98 +430,72 @@ impl GuideSearch {
         Err(SearchError::GoalBlocked { x_m: query.goal.x, y_m: query.goal.y })
     }
 
-    fn ask_around(&mut self, asker: &mut Asker<'_>, x: u32, y: u32) {
-        for y in y - 1..=y + 1 {
-            for x in x - 1..=x + 1 {
-                if self.window.weights[self.window.index(x, y)] == UNASKED {
-                    asker.ask(&mut self.window, &mut self.block, x, y);
-                }
-            }
-        }
-    }
-
-    /// Weights around a cell in the order of [`STEPS`], asked for where needed.
-    #[inline]
-    fn around(&mut self, asker: &mut Asker<'_>, x: u32, y: u32) -> [u16; 8] {
-        let at = self.window.index(x, y);
-        let read = |window: &Window| {
-            let (s, w) = (window.stride, &window.weights);
-            let (low, row, high) =
-                (&w[at - s - 1..][..3], &w[at - 1..][..3], &w[at + s - 1..][..3]);
-            [row[2], high[1], row[0], low[1], high[2], high[0], low[0], low[2]]
-        };
-        let mut around = read(&self.window);
-        if around.iter().fold(false, |any, w| any | (*w == UNASKED)) {
-            self.ask_around(asker, x, y);
-            around = read(&self.window);
-        }
-        around
-    }
-
     fn run_edge(
         &mut self,
         start: (u32, u32),
         target: Target,
         asker: &mut Asker<'_>,
     ) -> Result<((u32, u32), usize), SearchError> {
-        let tag = self.generation << TAG_BITS;
-        let at = self.window.index(start.0, start.1);
-        self.nodes[at] = Node { g: 0, tag: tag | NO_STEP };
+        let Self { window, nodes, queue, block, .. } = self;
+        let from = window.index(start.0, start.1);
+        nodes[from] = 0;
         let key = target.bound(start.0, start.1);
-        self.queue.reset(key);
-        self.queue.push(key, start.1 << 16 | start.0);
-        let stride = self.window.stride as isize;
+        queue.reset(key);
+        queue.push(key, start.1 << 16 | start.0);
+        let stride = window.stride as isize;
         let offsets = STEPS.map(|(dx, dy)| dy as isize * stride + dx as isize);
         let (mut expanded, mut too_long) = (0, false);
-        while let Some((_, item)) = self.queue.pop() {
+        while let Some((key, item)) = queue.pop() {
             let (x, y) = (item & 0xffff, item >> 16);
-            let at = self.window.index(x, y);
-            let node = self.nodes[at];
-            if node.tag & CLOSED != 0 {
+            let at = window.index(x, y);
+            let node = nodes[at];
+            let own_g = node >> STEP_BITS;
+            let bound = target.bound(x, y);
+            if own_g + bound != key {
+                // A cheaper way here was found, and followed, since this was pushed.
                 continue;
             }
-            self.nodes[at].tag |= CLOSED;
-            if target.reached(x, y) {
+            if bound == 0 && target.reached(x, y) {
                 return Ok(((x, y), expanded));
             }
-            if node.g > COST_MAX {
+            if own_g > COST_MAX {
                 too_long = true;
                 continue;
             }
             expanded += 1;
-            let around = self.around(asker, x, y);
-            let own = self.window.weights[at];
-            let step = node.tag & STEP_MASK;
-            let uniform = around.iter().fold(0, |odd, w| odd | (w ^ own)) == 0;
-            let steps: &[usize] =
-                if uniform && step != NO_STEP { &AHEAD[step as usize] } else { &ALL };
-            for &step in steps {
-                let weight = u32::from(around[step]);
-                let both = u32::from(own) + weight;
-                let cost = if step < 4 {
-                    if weight == 0 {
-                        continue;
-                    }
-                    both
-                } else {
-                    if weight == 0
-                        || around[step - 4] == BLOCKED
-                        || around[(step - 3) % 4] == BLOCKED
-                    {
-                        continue;
-                    }
-                    both * DIAGONAL / STRAIGHT
-                };
+            let own = window.weights[at];
+            let mut around = window.around(at);
+            let mut relax = |step: usize, cost: u32| {
                 let there = (at as isize + offsets[step]) as usize;
-                let g = node.g + cost;
-                let old = self.nodes[there];
-                if old.tag >> TAG_BITS == self.generation && old.g <= g {
-                    continue;
+                let g = own_g + cost;
+                let node = &mut nodes[there];
+                if *node >> STEP_BITS > g {
+                    *node = g << STEP_BITS | step as u32;
+                    let (dx, dy) = STEPS[step];
+                    let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
+                    queue.push(g + target.bound(x, y), y << 16 | x);
                 }
-                self.nodes[there] = Node { g, tag: tag | step as u32 };
-                let (dx, dy) = STEPS[step];
-                let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
-                self.queue.push(g + target.bound(x, y), y << 16 | x);
+            };
+            let straight = 2 * u32::from(own);
+            if around.iter().fold(0, |odd, w| odd | (w ^ own)) == 0 && at != from {
+                let diagonal = straight * DIAGONAL / STRAIGHT;
+                for &step in &AHEAD[(node & STEP_MASK) as usize] {
+                    relax(step, if step < 4 { straight } else { diagonal });
+                }
+                continue;
+            }
+            if around.iter().fold(false, |any, w| any | (*w == UNASKED)) {
+                asker.ask_around(window, block, x, y);
+                around = window.around(at);
+            }
+            for (step, weight) in around.iter().enumerate() {
+                let both = u32::from(own) + u32::from(*weight);
+                if *weight == BLOCKED {
+                } else if step < 4 {
+                    relax(step, both);
+                } else if around[step - 4] != BLOCKED && around[(step - 3) % 4] != BLOCKED {
+                    relax(step, both * DIAGONAL / STRAIGHT);
+                }
             }
         }
         Err(if too_long { SearchError::TooLong } else { SearchError::Unreachable { expanded } })
@@ -530,28 +508,34 @@ impl GuideSearch {
         target: Target,
         asker: &mut Asker<'_>,
     ) -> Result<((u32, u32), usize), SearchError> {
-        let tag = self.generation << TAG_BITS;
-        let at = self.window.index(start.0, start.1);
-        self.nodes[at] = Node { g: 0, tag: tag | NO_STEP };
+        let from = self.window.index(start.0, start.1);
+        self.nodes[from] = 0;
+        self.closed.clear();
+        self.closed.resize(self.nodes.len(), false);
         self.heap.clear();
         self.heap.push((Reverse(0), 0, start.1 << 16 | start.0));
         let stride = self.window.stride as isize;
         let offsets = STEPS.map(|(dx, dy)| dy as isize * stride + dx as isize);
-        let (mut expanded, mut pushed) = (0, 0_u32);
+        let (mut expanded, mut pushed, mut too_long) = (0, 0_u32, false);
         while let Some((_, _, item)) = self.heap.pop() {
             let (x, y) = (item & 0xffff, item >> 16);
             let at = self.window.index(x, y);
-            let node = self.nodes[at];
-            if node.tag & CLOSED != 0 {
+            if self.closed[at] {
                 continue;
             }
-            self.nodes[at].tag |= CLOSED;
+            self.closed[at] = true;
+            let own_g = self.nodes[at] >> STEP_BITS;
             if target.reached(x, y) {
                 return Ok(((x, y), expanded));
             }
+            if own_g > COST_MAX {
+                too_long = true;
+                continue;
+            }
             expanded += 1;
-            let around = self.around(asker, x, y);
-            for step in ALL {
+            asker.ask_around(&mut self.window, &mut self.block, x, y);
+            let around = self.window.around(at);
+            for step in 0..8 {
                 let open = around[step] != BLOCKED
                     && (step < 4
                         || (around[step - 4] != BLOCKED && around[(step - 3) % 4] != BLOCKED));
@@ -559,13 +543,11 @@ impl GuideSearch {
                     continue;
                 }
                 let there = (at as isize + offsets[step]) as usize;
-                let g = node.g.saturating_add(if step < 4 { STRAIGHT } else { DIAGONAL });
-                let old = self.nodes[there];
-                let seen = old.tag >> TAG_BITS == self.generation;
-                if seen && (old.tag & CLOSED != 0 || old.g <= g) {
+                let g = own_g + if step < 4 { STRAIGHT } else { DIAGONAL };
+                if self.closed[there] || self.nodes[there] >> STEP_BITS <= g {
                     continue;
                 }
-                self.nodes[there] = Node { g, tag: tag | step as u32 };
+                self.nodes[there] = g << STEP_BITS | step as u32;
                 let (dx, dy) = STEPS[step];
                 let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
                 let (cx, cy) = target.centre;
@@ -576,7 +558,7 @@ impl GuideSearch {
                 self.heap.push((Reverse(u64::from(g) + h.round() as u64), pushed, y << 16 | x));
             }
         }
-        Err(SearchError::Unreachable { expanded })
+        Err(if too_long { SearchError::TooLong } else { SearchError::Unreachable { expanded } })
     }
 
     fn guide(
@@ -588,14 +570,18 @@ impl GuideSearch {
         expanded: usize,
         asked: usize,
     ) -> Guide {
-        let cost = self.nodes[self.window.index(end.0, end.1)].g;
+        let cost = self.nodes[self.window.index(end.0, end.1)] >> STEP_BITS;
         let cells = &mut self.puller.cells;
         cells.clear();
         let (mut x, mut y) = end;
         loop {
             cells.push((x, y));
-            let step = self.nodes[self.window.index(x, y)].tag & STEP_MASK;
-            let Some((dx, dy)) = STEPS.get(step as usize) else { break };
+            let node = self.nodes[self.window.index(x, y)];
+            if node == 0 {
+                // Only the start costs nothing.
+                break;
+            }
+            let (dx, dy) = STEPS[(node & STEP_MASK) as usize];
             (x, y) = (x.wrapping_add_signed(-dx), y.wrapping_add_signed(-dy));
         }
         cells.reverse();

@@ -130,7 +130,9 @@ fn ringed(
                 Cell::Free => Some(1.0 / v),
                 Cell::Unknown => {
                     let phi = f64::from(phi(p));
-                    Some(1.0 / v + params.alpha / (1.0 - phi + params.eps))
+                    let factor = 1.0 + v * params.alpha / (1.0 - phi + params.eps);
+                    // The search keeps a seventieth of the known cells' cost.
+                    Some((factor * 70.0).round() / 70.0 / v)
                 }
             });
         }
@@ -144,14 +146,16 @@ fn cells() -> impl Strategy<Value = Vec<Cell>> {
         2 => Just(Cell::Occupied),
         3 => Just(Cell::Unknown),
     ];
-    // Blobs of 2 x 2 as well as single cells, so that there are open and narrow places.
+    // Single cells, blobs of 4 x 4, and wide open space with a cell here and there.
     let fine = prop::collection::vec(cell.clone(), SIDE * SIDE);
     let coarse = prop::collection::vec(cell, SIDE * SIDE / 16);
-    (fine, coarse, any::<bool>()).prop_map(|(fine, coarse, blobs)| {
+    (fine, coarse, 0..3_u8, 10..80_usize).prop_map(|(fine, coarse, kind, every)| {
         (0..SIDE * SIDE)
-            .map(|at| {
-                let (x, y) = (at % SIDE, at / SIDE);
-                if blobs { coarse[y / 4 * (SIDE / 4) + x / 4] } else { fine[at] }
+            .map(|at| match (kind, at % every) {
+                (0, _) => fine[at],
+                (1, _) => coarse[at / SIDE / 4 * (SIDE / 4) + at % SIDE / 4],
+                (_, 7) => Cell::Occupied,
+                _ => fine[at / SIDE / 12 * 2 + at % SIDE / 12],
             })
             .collect()
     })
@@ -183,8 +187,8 @@ proptest! {
         let best = reference(ring, &weights, from, to, false);
         match guide {
             Ok(guide) => {
-                // Weights are rounded to half a part in seventy at most, lengths to 5e-5.
-                prop_assert!((guide.cost_s / best - 1.0).abs() < 8e-3, "{} {best}", guide.cost_s);
+                // A diagonal step is rounded down by less than one part in 198.
+                prop_assert!((guide.cost_s / best - 1.0).abs() < 2e-3, "{} {best}", guide.cost_s);
                 prop_assert_eq!(guide.points[0], ask.start);
                 prop_assert_eq!(*guide.points.last().unwrap(), ask.goal);
                 for pair in guide.points.windows(2) {

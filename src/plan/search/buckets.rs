@@ -60,7 +60,7 @@ impl Buckets {
         self.len = 0;
     }
 
-    #[inline]
+    #[inline(always)]
     pub(super) fn push(&mut self, key: u32, item: u32) {
         debug_assert!(key >= self.cursor && ((key - self.cursor) as usize) < SPAN);
         let slot = key as usize % SPAN;
@@ -80,7 +80,7 @@ impl Buckets {
         self.len += 1;
     }
 
-    #[inline]
+    #[inline(always)]
     pub(super) fn pop(&mut self) -> Option<(u32, u32)> {
         if self.len == 0 {
             return None;

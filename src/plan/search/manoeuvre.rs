@@ -7,9 +7,11 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
+use super::astar::{DIAGONAL, STRAIGHT};
+use super::buckets::Buckets;
 use super::dubins::{self, Dubins};
 use super::{Guide, cell_at};
-use crate::frames::{Point, Pose};
+use crate::frames::{Point, Pose, Vector};
 use crate::map::CellRect;
 use crate::plan::{Path, PathPoint};
 use crate::tunables;
@@ -114,6 +116,8 @@ const LATTICE_M: f64 = 0.1;
 const HEADINGS: usize = 48;
 /// A car that stands where its disc does not fit by the mask (rounding) may leave that spot.
 const LEAVE_M: f64 = 0.15;
+/// Share of the steering's largest curvature where a lesser one has led nowhere.
+const LAST_RESORT_SHARE: f64 = 0.99;
 /// A way found is taken when nothing better than this factor can be left.
 const GOOD_ENOUGH: f64 = 1.1;
 /// A manoeuvre that does not reach the guide must bring it at least this much closer, metres.
@@ -122,6 +126,8 @@ const GAIN_MIN_M: f64 = 0.2;
 const ENDS: usize = 4;
 /// The nearest point of the guide that is worth joining, metres.
 const NEAREST_END_M: f64 = 0.3;
+/// Unit of the distances over the plane, metres.
+const FIELD_UNIT_M: f64 = LATTICE_M / STRAIGHT as f64;
 /// Distance to go where the plane leads nowhere, metres.
 const FAR_M: f64 = 100.0;
 const NONE: u32 = u32::MAX;
@@ -158,12 +164,12 @@ struct Level {
     from_m: f64,
     to_m: f64,
     effort: usize,
+    curvature_share: f64,
     /// Whether to search on without an end that can be reached, only for a direction.
     keeps_direction: bool,
 }
 
 /// The search for a manoeuvre. Holds its working memory.
-#[derive(Default)]
 pub struct ManoeuvreSearch {
     ends: Vec<End>,
     /// Points of the guide where the disc fits: index, distance along the guide.
@@ -176,10 +182,17 @@ pub struct ManoeuvreSearch {
     /// Length in all, order of pushing, state, whether its estimate is the full one.
     heap: BinaryHeap<(Reverse<u32>, u32, u32, bool)>,
     heap_order: u32,
-    /// Distance to go over the plane, per square.
-    field: Vec<f32>,
+    /// Distance to go over the plane per square, in the grid search's units of cost; empty where
+    /// there is only a direction.
+    field: Vec<u32>,
     open: Vec<bool>,
-    field_heap: BinaryHeap<Reverse<(u32, u32)>>,
+    field_queue: Buckets,
+}
+
+impl Default for ManoeuvreSearch {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 /// The lattice around the car.
@@ -272,14 +285,25 @@ struct Joined {
 impl ManoeuvreSearch {
     /// A search without memory yet.
     pub fn new() -> Self {
-        Self::default()
+        Self {
+            ends: Vec::new(),
+            fitting: Vec::new(),
+            states: Vec::new(),
+            slots: Vec::new(),
+            generation: 0,
+            heap: BinaryHeap::new(),
+            heap_order: 0,
+            field: Vec::new(),
+            open: Vec::new(),
+            field_queue: Buckets::new(),
+        }
     }
 
     /// A drivable start onto the guide, or `None` where the guide starts out in the car's heading
     /// and none is needed.
     ///
-    /// Looks near the car first, then wider and at all of the guide's known part; where nothing
-    /// reaches the guide, it gives the longest gain towards it.
+    /// Looks near the car first, then wider, at all of the guide's known part and with the tightest
+    /// turns; where nothing reaches the guide, it gives the longest gain towards it.
     pub fn find<R: Room>(
         &mut self,
         room: &R,
@@ -290,12 +314,8 @@ impl ManoeuvreSearch {
         if !leaves_heading(query, params.skip_turn_rad) {
             return Ok(None);
         }
-        let turning = Turning {
-            curvature_pm: params.curvature_share * query.curvature_limit_pm,
-            v2: query.speed_mps * query.speed_mps,
-            acceleration: query.acceleration_limit_mps2,
-        };
-        let braking_m = turning.v2 / turning.acceleration;
+        let v2 = query.speed_mps * query.speed_mps;
+        let braking_m = v2 / query.acceleration_limit_mps2;
         let effort = params.effort as usize;
         let to_m = params.join_to_m.max(params.join_from_m) + braking_m;
         let near = Level {
@@ -303,6 +323,7 @@ impl ManoeuvreSearch {
             from_m: params.join_from_m,
             to_m,
             effort,
+            curvature_share: params.curvature_share,
             keeps_direction: false,
         };
         let wide = Level {
@@ -310,6 +331,7 @@ impl ManoeuvreSearch {
             from_m: 0.0,
             to_m: 3.0 + to_m,
             effort,
+            curvature_share: params.curvature_share.max(LAST_RESORT_SHARE),
             keeps_direction: true,
         };
         let ground = Ground { room, start: pose.position, start_fits: room.fits(pose.position) };
@@ -318,6 +340,15 @@ impl ManoeuvreSearch {
             if !self.choose_ends(room, query.guide, &level) {
                 continue;
             }
+            let turning = Turning {
+                curvature_pm: level.curvature_share * query.curvature_limit_pm,
+                v2,
+                acceleration: query.acceleration_limit_mps2,
+            };
+            // A mere direction is worth less effort: there is no end that would be found.
+            let fits = self.ends.iter().any(|end| end.fits);
+            let effort = if fits { level.effort } else { level.effort / 4 };
+            let level = Level { effort, ..level };
             let (found, spent) = self.search(&ground, pose, turning, &level, params.step_m);
             expanded += spent;
             if let Some(Joined { state, end, way }) = found {
@@ -497,51 +528,44 @@ impl ManoeuvreSearch {
     fn spread<R: Room>(&mut self, ground: &Ground<'_, R>, lattice: Lattice) {
         let side = lattice.side();
         self.field.clear();
-        self.field.resize(side * side, f32::INFINITY);
+        if !self.ends.iter().any(|end| end.fits) {
+            return;
+        }
+        self.field.resize(side * side, u32::MAX);
         self.open.clear();
         for y in 0..side {
             for x in 0..side {
                 let offset = |i: usize| (i as f64 - f64::from(lattice.half)) * LATTICE_M;
-                let p = lattice.origin + crate::frames::Vector::new(offset(x), offset(y));
+                let p = lattice.origin + Vector::new(offset(x), offset(y));
                 // The rim stays closed, so that no step leaves the array.
                 let rim = x == 0 || y == 0 || x + 1 == side || y + 1 == side;
                 self.open.push(!rim && ground.open(p));
             }
         }
-        self.field_heap.clear();
+        self.field_queue.reset(0);
         for end in &self.ends {
-            let Some(square) = lattice.square(end.pose.position) else { continue };
-            let rest = end.rest_m as f32;
+            // An end on the rim would let a step leave the array.
+            let square = lattice.square(end.pose.position).filter(|square| self.open[*square]);
+            let Some(square) = square else { continue };
+            let rest = (end.rest_m / FIELD_UNIT_M).round() as u32;
             if rest < self.field[square] {
                 self.field[square] = rest;
-                self.field_heap.push(Reverse((rest.to_bits(), square as u32)));
+                self.field_queue.push(rest, square as u32);
             }
         }
-        let (straight, diagonal) =
-            (LATTICE_M as f32, (LATTICE_M * std::f64::consts::SQRT_2) as f32);
         let row = side as isize;
-        let steps = [
-            (1, straight),
-            (-1, straight),
-            (row, straight),
-            (-row, straight),
-            (row + 1, diagonal),
-            (row - 1, diagonal),
-            (-row + 1, diagonal),
-            (-row - 1, diagonal),
-        ];
-        // Distances are not negative, so their bits sort as they do.
-        while let Some(Reverse((bits, square))) = self.field_heap.pop() {
-            let distance = f32::from_bits(bits);
+        let straight = [1, -1, row, -row].map(|step| (step, STRAIGHT));
+        let diagonal = [row + 1, row - 1, 1 - row, -1 - row].map(|step| (step, DIAGONAL));
+        while let Some((distance, square)) = self.field_queue.pop() {
             if distance > self.field[square as usize] {
                 continue;
             }
-            for (offset, length) in steps {
-                let Some(there) = (square as usize).checked_add_signed(offset) else { continue };
+            for (step, length) in straight.into_iter().chain(diagonal) {
+                let there = (square as isize + step) as usize;
                 let next = distance + length;
-                if self.open.get(there) == Some(&true) && next < self.field[there] {
+                if self.open[there] && next < self.field[there] {
                     self.field[there] = next;
-                    self.field_heap.push(Reverse((next.to_bits(), there as u32)));
+                    self.field_queue.push(next, there as u32);
                 }
             }
         }
@@ -549,20 +573,23 @@ impl ManoeuvreSearch {
 
     /// The plane's distance to go at a point; around closed squares that of the best neighbour.
     fn left_over_plane(&self, lattice: Lattice, p: Point) -> f64 {
+        if self.field.is_empty() {
+            return 0.0;
+        }
         let Some(square) = lattice.square(p) else { return FAR_M };
         let here = self.field[square];
-        if here.is_finite() {
-            return f64::from(here);
+        if here != u32::MAX {
+            return f64::from(here) * FIELD_UNIT_M;
         }
         let side = lattice.side();
         let (x, y) = (square % side, square / side);
-        let mut least = f32::INFINITY;
+        let mut least = u32::MAX;
         for y in y.saturating_sub(1)..(y + 2).min(side) {
             for x in x.saturating_sub(1)..(x + 2).min(side) {
                 least = least.min(self.field[y * side + x]);
             }
         }
-        if least.is_finite() { f64::from(least) + LATTICE_M } else { FAR_M }
+        if least == u32::MAX { FAR_M } else { f64::from(least) * FIELD_UNIT_M + LATTICE_M }
     }
 
     /// The state of the last search that is closest to the guide by more than a little and from
@@ -646,7 +673,7 @@ fn leaves_heading(query: &ManoeuvreQuery<'_>, skip_turn_rad: f64) -> bool {
     let points = &query.guide.points;
     let ahead = points.iter().find(|p| (*p - here).norm() >= 1.0).or(points.last());
     let Some(ahead) = ahead.filter(|p| (*p - here).norm() >= NEAREST_END_M) else { return false };
-    query.pose.to_body(*ahead).coords.angle(&crate::frames::Vector::x()) > skip_turn_rad
+    query.pose.to_body(*ahead).coords.angle(&Vector::x()) > skip_turn_rad
 }
 
 #[cfg(test)]
