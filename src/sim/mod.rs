@@ -3,6 +3,9 @@
 
 pub mod car;
 pub mod controller;
+pub mod account;
 pub mod drive;
+pub mod judge;
+pub mod lidar;
 pub mod maze;
 pub mod world;

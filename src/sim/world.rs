@@ -180,7 +180,8 @@ impl World {
     /// `None` if it does not. `direction` is a unit vector.
     ///
     /// The traversal of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing",
-    /// Eurographics 1987. A ray through the common corner of two solid cells is stopped there.
+    /// Eurographics 1987. A ray exactly through a corner takes the cell beside it on the way, so one
+    /// through the common corner of two solid cells is stopped there.
     #[inline]
     pub(super) fn traverse(
         &self,
@@ -383,4 +384,4 @@ fn axis(start: f64, index: i64, direction: f64) -> (i64, f64, f64) {
 }
 
 #[cfg(test)]
-mod tests;
+pub(in crate::sim) mod tests;

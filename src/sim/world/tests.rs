@@ -65,7 +65,7 @@ proptest! {
         prop_assert!((0.0..=range).contains(&cast));
         // No point before the end is solid, unless the ray cuts less than a step off a corner.
         let direction = heading_vector(angle);
-        let step = 1e-4;
+        let step = 1e-3;
         let mut solid_steps = 0;
         let mut t = 0.0;
         while t < cast - 1e-9 {
