@@ -150,6 +150,13 @@ impl Grid {
         self.offset(c).map_or(Cell::Unknown, |i| self.cells[i])
     }
 
+    /// The stored cells of one row, from `bounds().x0` on; `None` outside the bounds.
+    #[inline]
+    pub fn row(&self, iy: i32) -> Option<&[Cell]> {
+        let start = self.offset(CellIndex::new(self.bounds.x0, iy))?;
+        Some(&self.cells[start..start + self.bounds.width()])
+    }
+
     /// Stores a cell, growing the grid where needed.
     pub fn set(&mut self, c: CellIndex, cell: Cell) {
         if !self.bounds.contains(c) {

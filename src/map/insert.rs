@@ -1,0 +1,740 @@
+//! Scans into the grid: which cells a scan proves free and which it shows occupied.
+
+use std::sync::Arc;
+
+use super::fan::{Fan, Hit, Limits};
+use super::{Cell, CellIndex, CellRect, Grid};
+use crate::frames::{Point, Pose, Vector};
+use crate::scan::Scan;
+use crate::tunables;
+
+tunables! {
+    /// The occupancy grid and the rules by which scans change it.
+    pub struct MapParams in "map" {
+        /// Side of a cell.
+        resolution_m: f64 = 0.1, restart, in 0.02..=0.5, "m";
+        /// A cell counts as seen when all of it but a rim of this width has been seen. Keeps
+        /// rounding of ranges from costing the cells along walls; part of the certificate's margin.
+        free_tolerance_m: f64 = 0.01, restart, in 0.0..=0.05, "m";
+        /// A beam that ends this close to something known to be occupied (or to unknown space
+        /// behind) has found nothing new. Should exceed pose drift and four standard deviations of
+        /// the range.
+        hit_tolerance_m: f64 = 0.03, restart, in 0.0..=0.2, "m";
+        /// The occupied cell is looked up this far behind the surface, so that a wall on a cell
+        /// boundary falls into the cell behind it.
+        hit_depth_m: f64 = 0.01, restart, in 0.0..=0.05, "m";
+        /// Obstacles thinner than this may be missed. Beams farther apart than this (or than half a
+        /// cell) prove nothing free.
+        min_obstacle_m: f64 = 0.05, restart, in 0.01..=0.5, "m";
+    }
+}
+
+/// Why a scan changed nothing.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// Pose, angles or range are not usable numbers.
+    #[error("the scan's {what} is {value}, but must be {wanted}")]
+    BadNumber {
+        /// Which number.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed, in words.
+        wanted: &'static str,
+    },
+    /// The grid would grow beyond [`CELLS_MAX`].
+    #[error("the grid would grow to {cells} cells, allowed are {CELLS_MAX}")]
+    TooLarge {
+        /// Cells needed.
+        cells: u64,
+    },
+}
+
+/// The most cells that a grid may grow to: 640 m by 640 m at 0.1 m.
+pub const CELLS_MAX: u64 = 1 << 26;
+
+/// Ranges are cut here, metres: no lidar of a small car measures farther, and a wrong setting must
+/// not make the grid explode.
+const RANGE_CAP_M: f64 = 100.0;
+
+/// Room that the grid keeps around everything seen, metres, so that distances up to this one are
+/// right up to the grid's edge.
+const BORDER_M: f64 = 2.0;
+
+/// What one scan changed.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Insertion {
+    /// Holds every cell whose state changed.
+    pub changed: CellRect,
+    /// Unknown cells that became free.
+    pub newly_free: usize,
+    /// Unknown cells that became occupied.
+    pub newly_occupied: usize,
+    /// Free cells that became occupied: something was set down in free space, and the plan under
+    /// way must be certified again.
+    pub turned_occupied: usize,
+    /// Why the scan was not used, if it was not.
+    pub refused: Option<Refusal>,
+}
+
+impl Insertion {
+    fn record(&mut self, c: CellIndex) {
+        let cell = CellRect { x0: c.ix, y0: c.iy, x1: c.ix + 1, y1: c.iy + 1 };
+        self.changed = self.changed.union(&cell);
+    }
+}
+
+/// Owns the grid and changes it by scans. Within one drive cells only ever go from unknown to free
+/// or occupied, and from free to occupied.
+#[derive(Clone, Debug)]
+pub struct Mapper {
+    params: MapParams,
+    grid: Arc<Grid>,
+    fan: Fan,
+    freed: Vec<CellIndex>,
+    /// Hits that may belong to a neighbouring cell: end point, cell to mark, and how near to it an
+    /// occupied cell explains the hit, metres.
+    doubtful: Vec<(Point, CellIndex, f64)>,
+    /// Hits inside free space, with the cell that each would turn.
+    surprises: Vec<(Point, CellIndex)>,
+}
+
+impl Mapper {
+    /// A mapper that knows nothing yet.
+    pub fn new(params: &MapParams) -> Self {
+        Self {
+            params: params.clone(),
+            grid: Arc::new(Grid::new(params.resolution_m)),
+            fan: Fan::default(),
+            freed: Vec::new(),
+            doubtful: Vec::new(),
+            surprises: Vec::new(),
+        }
+    }
+
+    /// The grid as it is now.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The grid as it is now, to keep. Costs nothing unless it is still held when the grid changes
+    /// next; then the grid is copied once.
+    pub fn snapshot(&self) -> Arc<Grid> {
+        Arc::clone(&self.grid)
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.grid = Arc::new(Grid::new(self.params.resolution_m));
+    }
+
+    /// Takes a scan measured at `pose` (body frame in the map frame; the lidar sits at the body
+    /// origin).
+    ///
+    /// First every beam that ended on a surface marks the cell just behind that surface occupied,
+    /// unless something known explains the hit: an occupied cell within `hit_tolerance_m`, or, if
+    /// the hit lies in a free cell, an unknown cell that close behind it (which is marked instead).
+    /// A free cell turns occupied only where nothing explains the hit.
+    ///
+    /// Then an unknown cell becomes free if its square, less a rim of `free_tolerance_m`, lies
+    /// inside the triangles spanned by neighbouring beams (see `fan`), and these stand at most half
+    /// a cell (and `min_obstacle_m`) apart at its far corner. Occupied cells are never freed.
+    pub fn insert(&mut self, pose: &Pose, scan: &Scan) -> Insertion {
+        let mut insertion = Insertion::default();
+        if let Err(refusal) = self.prepare(pose, scan) {
+            insertion.refused = Some(refusal);
+            return insertion;
+        }
+        self.mark_hits(&mut insertion);
+        self.mark_free(pose.position, &mut insertion);
+        insertion
+    }
+
+    /// Marks the cells wholly inside the car's own disc free (position in the map frame, metres):
+    /// where the car stands there is nothing else. Occupied cells stay occupied.
+    pub fn mark_footprint(&mut self, position: Point, radius_m: f64) -> Insertion {
+        let mut insertion = Insertion::default();
+        let radius = Vector::repeat(radius_m);
+        match self.reserve(position - radius, position + radius) {
+            Err(refusal) => {
+                insertion.refused = Some(refusal);
+                return insertion;
+            }
+            Ok(()) => self.freed.clear(),
+        }
+        let low = self.grid.cell_at(position - radius);
+        let high = self.grid.cell_at(position + radius);
+        for iy in low.iy..=high.iy {
+            for ix in low.ix..=high.ix {
+                let c = CellIndex::new(ix, iy);
+                let offset = (self.grid.centre(c) - position).abs();
+                let corner = offset + Vector::repeat(0.5 * self.grid.resolution_m());
+                if corner.norm() <= radius_m && self.grid.get(c) == Cell::Unknown {
+                    self.freed.push(c);
+                }
+            }
+        }
+        self.apply_freed(&mut insertion);
+        insertion
+    }
+
+    /// Checks the numbers, spans the fan and makes room in the grid.
+    fn prepare(&mut self, pose: &Pose, scan: &Scan) -> Result<(), Refusal> {
+        let positive = |what, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                return Ok(());
+            }
+            Err(Refusal::BadNumber { what, value, wanted: "positive and finite" })
+        };
+        let finite = |what, value: f64| {
+            if value.is_finite() {
+                return Ok(());
+            }
+            Err(Refusal::BadNumber { what, value, wanted: "finite" })
+        };
+        finite("heading", pose.heading_rad)?;
+        finite("first angle", scan.angle_first_rad)?;
+        positive("absolute angle step", scan.angle_step_rad.abs())?;
+        positive("range", scan.range_max_m)?;
+        let limits = Limits {
+            spacing_m: (0.5 * self.params.resolution_m).min(self.params.min_obstacle_m),
+            straight_m: 0.5 * self.params.free_tolerance_m,
+            range_m: RANGE_CAP_M,
+        };
+        self.fan.set(pose, scan, &limits);
+        let (low, high) = self.fan.extent();
+        self.reserve(low, high)
+    }
+
+    /// Grows the grid to hold a box of the map frame and the border around it.
+    fn reserve(&mut self, low: Point, high: Point) -> Result<(), Refusal> {
+        /// Half of what a cell index can address, in cells.
+        const FAR_CELLS: f64 = (i32::MAX / 2) as f64;
+        let resolution = self.grid.resolution_m();
+        for (what, value) in
+            [("least x", low.x), ("least y", low.y), ("greatest x", high.x), ("greatest y", high.y)]
+        {
+            if !value.is_finite() || value.abs() > FAR_CELLS * resolution {
+                let wanted = "within the addressable map";
+                return Err(Refusal::BadNumber { what, value, wanted });
+            }
+        }
+        let (a, b) = (self.grid.cell_at(low), self.grid.cell_at(high));
+        let seen = CellRect { x0: a.ix, y0: a.iy, x1: b.ix + 1, y1: b.iy + 1 };
+        let wanted = seen.grown((BORDER_M / resolution).ceil() as i32);
+        let union = self.grid.bounds().union(&wanted);
+        if union != self.grid.bounds() {
+            let cells = union.width() as u64 * union.height() as u64;
+            if cells > CELLS_MAX {
+                return Err(Refusal::TooLarge { cells });
+            }
+            Arc::make_mut(&mut self.grid).grow_to(wanted);
+        }
+        Ok(())
+    }
+
+    fn mark_hits(&mut self, insertion: &mut Insertion) {
+        let (tolerance, depth) = (self.params.hit_tolerance_m, self.params.hit_depth_m);
+        self.doubtful.clear();
+        self.surprises.clear();
+        for Hit { end, into, lone } in self.fan.hits() {
+            let at = |depth_m: f64| self.grid.cell_at(end + into * depth_m);
+            let target = at(depth);
+            let behind = at(tolerance);
+            match self.grid.get(target) {
+                Cell::Occupied => {}
+                Cell::Unknown => {
+                    let explained = [at(-tolerance), at(0.0), behind];
+                    if explained.iter().any(|c| self.grid.get(*c) == Cell::Occupied) {
+                        continue;
+                    }
+                    let aside = Vector::new(-into.y, into.x) * depth;
+                    let inside = end + into * depth;
+                    if self.grid.cell_at(inside + aside) == target
+                        && self.grid.cell_at(inside - aside) == target
+                    {
+                        Arc::make_mut(&mut self.grid).set(target, Cell::Occupied);
+                        insertion.newly_occupied += 1;
+                        insertion.record(target);
+                    } else if !lone {
+                        // It may have cut a corner: let the clear hits speak first. (A lone hit
+                        // this near to a boundary says too little; the cell stays unknown.)
+                        self.doubtful.push((end, target, 1.5 * depth));
+                    }
+                }
+                Cell::Free => match self.grid.get(behind) {
+                    Cell::Occupied => {}
+                    Cell::Unknown => self.doubtful.push((end, behind, tolerance)),
+                    Cell::Free => self.surprises.push((end, target)),
+                },
+            }
+        }
+        for (end, mark, near_m) in &self.doubtful {
+            if self.grid.get(*mark) == Cell::Unknown && !occupied_near(&self.grid, *end, *near_m) {
+                Arc::make_mut(&mut self.grid).set(*mark, Cell::Occupied);
+                insertion.newly_occupied += 1;
+                insertion.record(*mark);
+            }
+        }
+        // Judged against what was known before any of them is marked, so that an object is not
+        // explained by its own first cell.
+        let grid = &self.grid;
+        self.surprises.retain(|(end, _)| !occupied_near(grid, *end, tolerance));
+        for (_, target) in &self.surprises {
+            if self.grid.get(*target) == Cell::Free {
+                Arc::make_mut(&mut self.grid).set(*target, Cell::Occupied);
+                insertion.turned_occupied += 1;
+                insertion.record(*target);
+            }
+        }
+    }
+
+    fn mark_free(&mut self, sensor: Point, insertion: &mut Insertion) {
+        self.freed.clear();
+        let resolution = self.grid.resolution_m();
+        let radius = self.fan.radius_m().min(self.fan.range_m());
+        let (low, high) = self.fan.extent();
+        let (first, last) = (self.grid.cell_at(low), self.grid.cell_at(high));
+        let bounds = self.grid.bounds();
+        let half = Vector::repeat((0.5 * resolution - self.params.free_tolerance_m).max(0.0));
+        for iy in first.iy..=last.iy {
+            let Some(row) = self.grid.row(iy) else { continue };
+            let y = (f64::from(iy) + 0.5) * resolution - sensor.y;
+            let width2 = radius * radius - y * y;
+            if width2 <= 0.0 {
+                continue;
+            }
+            // Columns within the radius: the rest fails the spacing rule or is beyond the range.
+            let width = width2.sqrt();
+            let x0 = (((sensor.x - width) / resolution).floor() as i32).max(first.ix);
+            let x1 = (((sensor.x + width) / resolution).floor() as i32).min(last.ix);
+            if x1 < x0 {
+                continue;
+            }
+            let cells = &row[(x0 - bounds.x0) as usize..=(x1 - bounds.x0) as usize];
+            for (i, _) in cells.iter().enumerate().filter(|(_, cell)| **cell == Cell::Unknown) {
+                let ix = x0 + i as i32;
+                let x = (f64::from(ix) + 0.5) * resolution - sensor.x;
+                if self.fan.may_reach(x as f32, y as f32) {
+                    let centre = Vector::new(x, y);
+                    if self.fan.covers(centre - half, centre + half) {
+                        self.freed.push(CellIndex::new(ix, iy));
+                    }
+                }
+            }
+        }
+        self.apply_freed(insertion);
+    }
+
+    fn apply_freed(&mut self, insertion: &mut Insertion) {
+        if self.freed.is_empty() {
+            return;
+        }
+        let grid = Arc::make_mut(&mut self.grid);
+        for c in &self.freed {
+            grid.set(*c, Cell::Free);
+            insertion.record(*c);
+        }
+        insertion.newly_free += self.freed.len();
+    }
+}
+
+/// Whether an occupied cell's square lies within `distance_m` of a point.
+fn occupied_near(grid: &Grid, p: Point, distance_m: f64) -> bool {
+    super::clearance_m(grid, p, super::Blocking::Occupied, 2.0 * distance_m) <= distance_m
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frames::heading_vector;
+    use crate::time::Instant;
+    use proptest::prelude::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use std::f64::consts::TAU;
+
+    const RANGE_M: f64 = 7.5;
+
+    /// A rectangular obstacle: centre, half sides, heading. Geometry of its own.
+    #[derive(Clone, Copy, Debug)]
+    struct Block {
+        pose: Pose,
+        half: Vector,
+    }
+
+    impl Block {
+        fn aligned(x0: f64, y0: f64, x1: f64, y1: f64) -> Self {
+            let pose = Pose::new(0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.0);
+            Self { pose, half: Vector::new(0.5 * (x1 - x0), 0.5 * (y1 - y0)) }
+        }
+
+        /// How deep a point lies inside, metres; negative outside.
+        fn depth(&self, p: Point) -> f64 {
+            let q = self.pose.to_body(p);
+            (self.half.x - q.x.abs()).min(self.half.y - q.y.abs())
+        }
+
+        /// Distance along a ray to the first side, by intersecting all four.
+        fn cast(&self, from: Point, direction: Vector) -> f64 {
+            let corner =
+                |sx: f64, sy: f64| self.pose.to_map(Point::new(sx * self.half.x, sy * self.half.y));
+            let corners =
+                [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+            let mut nearest = f64::INFINITY;
+            for i in 0..4 {
+                let (a, b) = (corners[i], corners[(i + 1) % 4]);
+                let side = b - a;
+                let det = direction.perp(&side);
+                let (t, s) = ((a - from).perp(&side) / det, (a - from).perp(&direction) / det);
+                if t >= 0.0 && (0.0..=1.0).contains(&s) {
+                    nearest = nearest.min(t);
+                }
+            }
+            nearest
+        }
+    }
+
+    fn lidar(world: &[Block], truth: &Pose, beams: usize) -> Scan {
+        let step = TAU / beams as f64;
+        let ranges_m = (0..beams)
+            .map(|i| {
+                let direction = heading_vector(truth.heading_rad + step * i as f64);
+                let cast = |b: &Block| b.cast(truth.position, direction);
+                let range = world.iter().map(cast).fold(RANGE_M, f64::min);
+                // Millimetres, as on the wire.
+                ((range * 1000.0).round() / 1000.0) as f32
+            })
+            .collect();
+        Scan {
+            stamp: Instant::ZERO,
+            sequence: 0,
+            angle_first_rad: 0.0,
+            angle_step_rad: step,
+            range_max_m: RANGE_M,
+            ranges_m,
+        }
+    }
+
+    /// Walls of one cell around a corridor with a bend, all on cell boundaries.
+    fn corridor() -> Vec<Block> {
+        vec![
+            Block::aligned(-2.0, -1.3, 6.0, -1.2),
+            Block::aligned(-2.0, 1.2, 3.5, 1.3),
+            Block::aligned(3.4, 1.3, 3.5, 6.0),
+            Block::aligned(6.0, -1.3, 6.1, 6.0),
+            Block::aligned(-2.1, -1.3, -2.0, 1.3),
+        ]
+    }
+
+    fn random_world(rng: &mut ChaCha8Rng, rotated: bool) -> Vec<Block> {
+        let mut world = Vec::new();
+        while world.len() < 14 {
+            let block = if rotated {
+                let (x, y) = (rng.random_range(-7.0..7.0), rng.random_range(-7.0..7.0));
+                let half = Vector::new(rng.random_range(0.06..1.5), rng.random_range(0.06..0.6));
+                Block { pose: Pose::new(x, y, rng.random_range(-3.0..3.0)), half }
+            } else {
+                let mut cell = |low: i32, high: i32| f64::from(rng.random_range(low..high)) * 0.1;
+                let (x, y) = (cell(-70, 60), cell(-70, 60));
+                Block::aligned(x, y, x + cell(1, 30), y + cell(1, 12))
+            };
+            if block.depth(Point::origin()) < -1.0 {
+                world.push(block);
+            }
+        }
+        world
+    }
+
+    fn cells(grid: &Grid, kind: Cell) -> Vec<CellIndex> {
+        let bounds = grid.bounds();
+        (bounds.y0..bounds.y1)
+            .flat_map(|iy| (bounds.x0..bounds.x1).map(move |ix| CellIndex::new(ix, iy)))
+            .filter(|c| grid.get(*c) == kind)
+            .collect()
+    }
+
+    /// Deepest point of a cell's square inside an obstacle, on a dense lattice with its corners.
+    fn intrusion(world: &[Block], grid: &Grid, c: CellIndex) -> f64 {
+        let h = grid.resolution_m();
+        let mut deepest = f64::NEG_INFINITY;
+        for i in 0..=10 {
+            for j in 0..=10 {
+                let p = Point::new(
+                    (f64::from(c.ix) + 0.1 * f64::from(i)) * h,
+                    (f64::from(c.iy) + 0.1 * f64::from(j)) * h,
+                );
+                deepest = world.iter().map(|b| b.depth(p)).fold(deepest, f64::max);
+            }
+        }
+        deepest
+    }
+
+    /// Deepest point inside an obstacle on the way from the sensor to a point.
+    fn hidden_behind(world: &[Block], sensor: Point, p: Point) -> f64 {
+        (0..=100)
+            .map(|i| sensor + (p - sensor) * (f64::from(i) / 100.0))
+            .flat_map(|q| world.iter().map(move |b| b.depth(q)))
+            .fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig {
+            failure_persistence: None,
+            ..ProptestConfig::with_cases(16)
+        })]
+
+        #[test]
+        fn in_a_world_on_the_cells_no_wall_is_ever_free(
+            seed in 0u64..10_000, x in -0.5f64..0.5, y in -0.5f64..0.5, heading in -3.1f64..3.1,
+        ) {
+            let world = random_world(&mut ChaCha8Rng::seed_from_u64(seed), false);
+            let mut mapper = Mapper::new(&MapParams::default());
+            for i in 0..3 {
+                let pose = Pose::new(x + 0.07 * f64::from(i), y, heading);
+                mapper.insert(&pose, &lidar(&world, &pose, 1080));
+            }
+            let free = cells(mapper.grid(), Cell::Free);
+            prop_assert!(free.len() > 300);
+            for c in free {
+                prop_assert!(intrusion(&world, mapper.grid(), c) < 1e-6, "{c:?}");
+            }
+            let occupied = cells(mapper.grid(), Cell::Occupied);
+            let depths = occupied.iter().map(|c| intrusion(&world, mapper.grid(), *c));
+            let (mut beside, mut count) = (0, 0);
+            for depth in depths {
+                // A rounded range may cut a corner; then the cell at least touches the wall.
+                prop_assert!(depth > -1e-3, "{depth}");
+                beside += usize::from(depth < 0.01);
+                count += 1;
+            }
+            prop_assert!(beside * 50 <= count, "{beside} of {count}");
+        }
+
+        #[test]
+        fn what_stands_in_a_free_cell_is_thinner_than_the_beams_are_apart(
+            seed in 0u64..10_000, x in -0.5f64..0.5, y in -0.5f64..0.5, heading in -3.1f64..3.1,
+            fine: bool,
+        ) {
+            let world = random_world(&mut ChaCha8Rng::seed_from_u64(seed), true);
+            let params =
+                MapParams { resolution_m: if fine { 0.05 } else { 0.1 }, ..Default::default() };
+            let mut mapper = Mapper::new(&params);
+            let pose = Pose::new(x, y, heading);
+            let scan = lidar(&world, &pose, 1080);
+            let insertion = mapper.insert(&pose, &scan);
+            prop_assert!(insertion.newly_free > 300);
+            let free = cells(mapper.grid(), Cell::Free);
+            for c in free.into_iter().step_by(if fine { 20 } else { 5 }) {
+                let centre = mapper.grid().centre(c);
+                let apart = (centre - pose.position).norm() * scan.angle_step_rad;
+                let slack = apart + params.free_tolerance_m + 0.005;
+                prop_assert!(intrusion(&world, mapper.grid(), c) < slack, "{c:?}");
+                prop_assert!(hidden_behind(&world, pose.position, centre) < slack, "{c:?}");
+            }
+        }
+
+        #[test]
+        fn what_is_plainly_in_view_is_free(
+            seed in 0u64..10_000, x in -0.5f64..0.5, y in -0.5f64..0.5, heading in -3.1f64..3.1,
+        ) {
+            let world = random_world(&mut ChaCha8Rng::seed_from_u64(seed), true);
+            let mut mapper = Mapper::new(&MapParams::default());
+            let pose = Pose::new(x, y, heading);
+            mapper.insert(&pose, &lidar(&world, &pose, 1080));
+            for iy in (-50..50).step_by(2) {
+                for ix in (-50..50).step_by(3) {
+                    // A cell that can be seen with a beam's spacing to spare all around.
+                    let centre = mapper.grid().centre(CellIndex::new(ix, iy));
+                    if (centre - pose.position).norm() > 6.0 {
+                        continue;
+                    }
+                    let seen = (0..16).all(|i| {
+                        let p = centre + heading_vector(TAU * f64::from(i) / 16.0) * 0.16;
+                        let length = (p - pose.position).norm();
+                        let direction = (p - pose.position) / length;
+                        world.iter().all(|b| b.cast(pose.position, direction) > length)
+                    });
+                    if seen {
+                        prop_assert_eq!(mapper.grid().get(CellIndex::new(ix, iy)), Cell::Free);
+                    }
+                }
+            }
+        }
+
+        #[test]
+        fn drift_of_two_centimetres_turns_no_cell(seed in 0u64..10_000) {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let world = corridor();
+            let mut mapper = Mapper::new(&MapParams::default());
+            let mut seen = vec![];
+            for i in 0..20 {
+                let truth = Pose::new(0.2 * f64::from(i), 0.02 * f64::from(i % 7), 0.01);
+                let mut off = |limit: f64| rng.random_range(-limit..limit);
+                let believed = Pose::new(
+                    truth.position.x + off(0.014),
+                    truth.position.y + off(0.014),
+                    truth.heading_rad + off(0.001),
+                );
+                let insertion = mapper.insert(&believed, &lidar(&world, &truth, 1080));
+                prop_assert_eq!(insertion.turned_occupied, 0);
+                // Nothing known is ever forgotten.
+                let free = cells(mapper.grid(), Cell::Free);
+                prop_assert!(seen.iter().all(|c| mapper.grid().get(*c) == Cell::Free));
+                seen = free;
+            }
+        }
+    }
+
+    #[test]
+    fn walls_of_a_corridor_become_occupied_and_the_floor_up_to_them_free() {
+        let world = corridor();
+        let mut mapper = Mapper::new(&MapParams::default());
+        let pose = Pose::new(0.03, 0.04, 0.2);
+        let first = mapper.insert(&pose, &lidar(&world, &pose, 1080));
+        assert_eq!((first.turned_occupied, first.refused), (0, None));
+        assert_eq!(first.newly_free, cells(mapper.grid(), Cell::Free).len());
+        assert_eq!(first.newly_occupied, cells(mapper.grid(), Cell::Occupied).len());
+        for ix in -15..30 {
+            for iy in -12..12 {
+                assert_eq!(mapper.grid().get(CellIndex::new(ix, iy)), Cell::Free, "{ix} {iy}");
+            }
+        }
+        for ix in -10..15 {
+            assert_eq!(mapper.grid().get(CellIndex::new(ix, 12)), Cell::Occupied, "{ix}");
+            assert_eq!(mapper.grid().get(CellIndex::new(ix, -13)), Cell::Occupied, "{ix}");
+        }
+        let changed = cells(mapper.grid(), Cell::Free);
+        assert!(changed.iter().all(|c| first.changed.contains(*c)));
+        // The same again teaches nothing and copies nothing.
+        let kept = mapper.snapshot();
+        let again = mapper.insert(&pose, &lidar(&world, &pose, 1080));
+        assert_eq!(again, Insertion::default());
+        assert!(Arc::ptr_eq(&kept, &mapper.snapshot()));
+    }
+
+    #[test]
+    fn an_object_set_down_in_free_space_is_reported_and_stays() {
+        let mut world = corridor();
+        let mut mapper = Mapper::new(&MapParams::default());
+        let pose = Pose::new(0.0, 0.0, 0.0);
+        mapper.insert(&pose, &lidar(&world, &pose, 1080));
+        let held = mapper.snapshot();
+        world.push(Block { pose: Pose::new(2.53, 0.18, 0.4), half: Vector::new(0.06, 0.06) });
+        let insertion = mapper.insert(&pose, &lidar(&world, &pose, 1080));
+        assert!(insertion.turned_occupied >= 1);
+        assert_eq!((insertion.newly_free, insertion.newly_occupied), (0, 0));
+        let occupied: Vec<_> = cells(mapper.grid(), Cell::Occupied)
+            .into_iter()
+            .filter(|c| insertion.changed.contains(*c))
+            .collect();
+        assert_eq!(occupied.len(), insertion.turned_occupied);
+        assert!(occupied.iter().all(|c| held.get(*c) == Cell::Free));
+        // Taken away again: occupied stays occupied.
+        world.pop();
+        let after = mapper.insert(&pose, &lidar(&world, &pose, 1080));
+        assert_eq!((after.newly_free, after.changed), (0, CellRect::EMPTY));
+        assert!(occupied.iter().all(|c| mapper.grid().get(*c) == Cell::Occupied));
+    }
+
+    #[test]
+    fn silent_beams_free_and_occupy_nothing() {
+        let world = corridor();
+        let mut mapper = Mapper::new(&MapParams::default());
+        let pose = Pose::new(0.0, 0.0, 0.0);
+        let mut scan = lidar(&world, &pose, 1080);
+        scan.ranges_m.fill(f32::NAN);
+        assert_eq!(mapper.insert(&pose, &scan), Insertion::default());
+        let mut scan = lidar(&world, &pose, 1080);
+        // A quarter turn ahead is silent.
+        for i in (0..135).chain(945..1080) {
+            scan.ranges_m[i] = f32::NAN;
+        }
+        mapper.insert(&pose, &scan);
+        for c in cells(mapper.grid(), Cell::Free) {
+            let p = mapper.grid().centre(c);
+            assert!(p.x < p.y.abs() + 1e-9, "{c:?}");
+        }
+        assert_eq!(mapper.grid().get(CellIndex::new(-5, 0)), Cell::Free);
+    }
+
+    #[test]
+    fn no_return_frees_up_to_the_range_and_occupies_nothing() {
+        let mut mapper = Mapper::new(&MapParams::default());
+        let pose = Pose::new(0.02, 0.01, 0.0);
+        let mut scan = lidar(&[], &pose, 1080);
+        let insertion = mapper.insert(&pose, &scan);
+        assert_eq!(insertion.newly_occupied, 0);
+        assert_eq!(mapper.grid().get(CellIndex::new(72, 0)), Cell::Free);
+        assert_eq!(mapper.grid().get(CellIndex::new(75, 0)), Cell::Unknown);
+        let area = insertion.newly_free as f64 * 0.01;
+        assert!((0.97..1.0).contains(&(area / (std::f64::consts::PI * RANGE_M * RANGE_M))));
+        scan.ranges_m.fill(f32::INFINITY);
+        assert_eq!(mapper.insert(&pose, &scan), Insertion::default());
+    }
+
+    #[test]
+    fn the_footprint_is_free_but_never_overrides_an_obstacle() {
+        let mut mapper = Mapper::new(&MapParams::default());
+        let position = Point::new(5.02, -3.01);
+        let insertion = mapper.mark_footprint(position, 0.2);
+        assert!(insertion.newly_free >= 4);
+        for c in cells(mapper.grid(), Cell::Free) {
+            let far = (mapper.grid().centre(c) - position).abs() + Vector::repeat(0.05);
+            assert!(far.norm() <= 0.2 && insertion.changed.contains(c));
+        }
+        let c = mapper.grid().cell_at(position);
+        Arc::make_mut(&mut mapper.grid).set(c, Cell::Occupied);
+        assert_eq!(mapper.mark_footprint(position, 0.2), Insertion::default());
+        assert_eq!(mapper.grid().get(c), Cell::Occupied);
+    }
+
+    #[test]
+    fn unusable_scans_are_refused_with_a_reason() {
+        let mut mapper = Mapper::new(&MapParams::default());
+        let pose = Pose::new(0.0, 0.0, 0.0);
+        let good = lidar(&corridor(), &pose, 1080);
+        let cases = [
+            (Pose::new(f64::NAN, 0.0, 0.0), good.clone()),
+            (Pose::new(0.0, 0.0, f64::INFINITY), good.clone()),
+            (Pose::new(1e12, 0.0, 0.0), good.clone()),
+            (pose, Scan { angle_step_rad: 0.0, ..good.clone() }),
+            (pose, Scan { angle_step_rad: f64::NAN, ..good.clone() }),
+            (pose, Scan { angle_first_rad: f64::NAN, ..good.clone() }),
+            (pose, Scan { range_max_m: -1.0, ..good.clone() }),
+        ];
+        for (pose, scan) in cases {
+            let insertion = mapper.insert(&pose, &scan);
+            assert!(matches!(insertion.refused, Some(Refusal::BadNumber { .. })), "{insertion:?}");
+        }
+        assert!(mapper.grid().bounds().is_empty());
+        mapper.insert(&pose, &good);
+        let insertion = mapper.insert(&Pose::new(9e5, 9e5, 0.0), &good);
+        assert!(matches!(insertion.refused, Some(Refusal::TooLarge { .. })));
+        for ranges_m in [vec![], vec![3.0], vec![3.0, 2.0]] {
+            let few = Scan { ranges_m, ..good.clone() };
+            assert_eq!(mapper.insert(&pose, &few).newly_free, 0);
+        }
+    }
+
+    #[test]
+    fn a_scan_turned_round_gives_the_same_grid() {
+        let pose = Pose::new(0.3, -0.2, 0.7);
+        let forward = lidar(&corridor(), &pose, 1080);
+        let mut ranges_m = forward.ranges_m.clone();
+        ranges_m.reverse();
+        let backward = Scan {
+            angle_first_rad: forward.angle_rad(1079),
+            angle_step_rad: -forward.angle_step_rad,
+            ranges_m,
+            ..forward.clone()
+        };
+        let mut grids = vec![];
+        for scan in [forward, backward] {
+            let mut mapper = Mapper::new(&MapParams::default());
+            mapper.insert(&pose, &scan);
+            grids.push(mapper.snapshot());
+        }
+        assert_eq!(grids[0], grids[1]);
+    }
+}
