@@ -20,3 +20,4 @@ pub mod time;
 pub mod tunable;
 pub mod units;
 pub mod vehicle;
+pub mod wire;
