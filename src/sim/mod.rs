@@ -1,4 +1,6 @@
 //! The simulated world, car and bus. Geometry of its own: nothing here uses `map`, `plan` or
 //! `guard`, so a mistake there cannot cancel itself here. Only `rig` joins it to the core.
 
+pub mod bus;
 pub mod drive;
+pub mod faults;
