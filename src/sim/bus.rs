@@ -93,34 +93,15 @@ impl FrameBits {
     }
 }
 
-/// A frame waiting to be sent; ordered by rank, then by age.
-#[derive(Clone, Debug)]
-struct Queued {
-    rank: u32,
-    order: u64,
-    frame: CanFrame,
-}
-
-impl PartialEq for Queued {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-impl Eq for Queued {}
-impl PartialOrd for Queued {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-impl Ord for Queued {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.rank, self.order).cmp(&(other.rank, other.order))
-    }
-}
+/// A frame waiting to be sent: its rank, its age, and where it lies. The lowest goes first.
+type Waiting = Reverse<(u32, u64, u32)>;
 
 #[derive(Clone, Debug, Default)]
 struct Node {
-    sending: BinaryHeap<Reverse<Queued>>,
+    sending: BinaryHeap<Waiting>,
+    /// The frames that `sending` points to, and the places that are free again.
+    frames: Vec<CanFrame>,
+    vacant: Vec<u32>,
     received: VecDeque<(Instant, CanFrame)>,
     overruns: u64,
 }
@@ -177,17 +158,26 @@ impl VirtualBus {
     /// If `node` is not of this bus.
     pub fn send(&mut self, now: Instant, node: NodeId, frame: CanFrame) -> Result<(), QueueFull> {
         self.advance(now);
-        let sending = &mut self.nodes[node.0].sending;
-        if sending.len() >= self.params.queue_frames as usize {
-            return Err(QueueFull { node: node.0, queued: sending.len() });
+        let queue = &mut self.nodes[node.0];
+        if queue.sending.len() >= self.params.queue_frames as usize {
+            return Err(QueueFull { node: node.0, queued: queue.sending.len() });
         }
         if self.queued == 0 {
             self.wanted = self.now;
         }
         self.queued += 1;
         self.order += 1;
-        let rank = frame.id.arbitration_rank();
-        sending.push(Reverse(Queued { rank, order: self.order, frame }));
+        let place = match queue.vacant.pop() {
+            Some(place) => {
+                queue.frames[place as usize] = frame;
+                place
+            }
+            None => {
+                queue.frames.push(frame);
+                queue.frames.len() as u32 - 1
+            }
+        };
+        queue.sending.push(Reverse((frame.id.arbitration_rank(), self.order, place)));
         Ok(())
     }
 
@@ -197,7 +187,8 @@ impl VirtualBus {
             return Some(on_wire.ends);
         }
         let (start, node) = self.next_start()?;
-        let frame = &self.nodes[node].sending.peek()?.0.frame;
+        let node = &self.nodes[node];
+        let frame = &node.frames[node.sending.peek()?.0.2 as usize];
         Some(start + FrameBits::of(frame).duration(&self.params))
     }
 
@@ -210,7 +201,7 @@ impl VirtualBus {
             .nodes
             .iter()
             .enumerate()
-            .filter_map(|(i, node)| node.sending.peek().map(|head| (head.0.rank, i)))
+            .filter_map(|(i, node)| node.sending.peek().map(|head| (head.0.0, i)))
             .min()?;
         Some((self.free.max(self.wanted), winner.1))
     }
@@ -234,7 +225,10 @@ impl VirtualBus {
     }
 
     fn begin(&mut self, start: Instant, node: usize) {
-        let Some(Reverse(Queued { frame, .. })) = self.nodes[node].sending.pop() else { return };
+        let queue = &mut self.nodes[node];
+        let Some(Reverse((_, _, place))) = queue.sending.pop() else { return };
+        queue.vacant.push(place);
+        let frame = queue.frames[place as usize];
         self.queued -= 1;
         let duration = FrameBits::of(&frame).duration(&self.params);
         self.busy += duration;

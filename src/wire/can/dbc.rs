@@ -187,6 +187,7 @@ pub fn frame_tables() -> String {
             };
             let last = signal.start + u16::from(signal.bits) - 1;
             let (bits, name) = match signal.count {
+                1 if signal.bits == 1 => (last.to_string(), signal.name.to_owned()),
                 1 => (format!("{} to {last}", signal.start), signal.name.to_owned()),
                 n => (
                     format!("{} to {last}, then every {}", signal.start, signal.stride),

@@ -153,11 +153,16 @@ impl Signal {
 
     /// Reads the `index`-th of a row from a frame's padded data.
     pub(super) fn get_at(&self, data: &[u8; DATA_MAX], index: u16) -> i64 {
+        let (byte, shift) = self.window(index);
+        self.sign_extend(u64::from_le_bytes(array_at(data, byte)) >> shift)
+    }
+
+    /// Where eight bytes begin that hold the whole signal, and its lowest bit therein. Near the end
+    /// of the frame they begin earlier: a signal that fits the frame fits them.
+    fn window(&self, index: u16) -> (usize, usize) {
         let start = usize::from(self.start + index * self.stride);
-        let mut word = [0; 8];
-        let end = (start / 8 + 8).min(DATA_MAX);
-        word[..end - start / 8].copy_from_slice(&data[start / 8..end]);
-        self.sign_extend(u64::from_le_bytes(word) >> (start % 8))
+        let byte = (start / 8).min(DATA_MAX - 8);
+        (byte, start - 8 * byte)
     }
 
     /// Reads it from a frame's padded data.
@@ -172,20 +177,20 @@ impl Signal {
 
     /// Writes the `index`-th of a row; bits above the width are cut off.
     pub(super) fn put_at(&self, data: &mut [u8; DATA_MAX], index: u16, raw: i64) {
-        let start = usize::from(self.start + index * self.stride);
-        let end = (start / 8 + 8).min(DATA_MAX);
-        let mut bytes = [0; 8];
-        bytes[..end - start / 8].copy_from_slice(&data[start / 8..end]);
-        let shift = start % 8;
-        let word = u64::from_le_bytes(bytes) & !(self.mask() << shift)
+        let (byte, shift) = self.window(index);
+        let word = u64::from_le_bytes(array_at(data, byte)) & !(self.mask() << shift)
             | (raw as u64 & self.mask()) << shift;
-        data[start / 8..end].copy_from_slice(&word.to_le_bytes()[..end - start / 8]);
+        data[byte..byte + 8].copy_from_slice(&word.to_le_bytes());
     }
 
     /// Writes it.
     pub(super) fn put(&self, data: &mut [u8; DATA_MAX], raw: i64) {
         self.put_at(data, 0, raw);
     }
+}
+
+fn array_at(data: &[u8; DATA_MAX], byte: usize) -> [u8; 8] {
+    *data[byte..].first_chunk().expect("windows begin at least eight bytes before the end")
 }
 
 #[cfg(test)]
