@@ -3,8 +3,8 @@
 use crate::time::Instant;
 
 use super::ASSEMBLY_MAX_S;
-use super::database::{BLOCK_MODULUS, END, HEAD};
 use super::e2e::crc16;
+use super::fields::{BLOCK_MODULUS, END, HEAD};
 use super::frame::{CanFrame, DATA_MAX};
 use super::receiver::Fault;
 

@@ -5,11 +5,12 @@ use crate::scan::Scan;
 use crate::time::Instant;
 
 use super::daemon::seal;
-use super::database::{
-    CarHeartbeatSignals, DaemonHeartbeatSignals, INTERFACE_VERSION, Kind, Sender, SetpointSignals,
-    StatusSignals, TAIL_FD, car_heartbeat, daemon_heartbeat, setpoint, status,
-};
+use super::database::{INTERFACE_VERSION, Kind, Sender};
 use super::e2e::Protector;
+use super::fields::{
+    CarHeartbeatSignals, DaemonHeartbeatSignals, SetpointSignals, StatusSignals, TAIL_FD,
+    car_heartbeat, daemon_heartbeat, setpoint, status,
+};
 use super::frame::{CanFrame, DATA_MAX, Layout};
 use super::odometry::nearest;
 use super::receiver::{Fault, Receiver};

@@ -3,11 +3,12 @@
 use crate::command::{BrakingTail, CarStatus, ForceSetpoint};
 use crate::time::Instant;
 
-use super::database::{
-    CarHeartbeatSignals, DaemonHeartbeatSignals, INTERFACE_VERSION, Kind, Sender, SetpointSignals,
-    StatusSignals, car_heartbeat, daemon_heartbeat, odometry, setpoint, status,
-};
+use super::database::{INTERFACE_VERSION, Kind, Sender};
 use super::e2e::Protector;
+use super::fields::{
+    CarHeartbeatSignals, DaemonHeartbeatSignals, SetpointSignals, StatusSignals, car_heartbeat,
+    daemon_heartbeat, odometry, setpoint, status,
+};
 use super::frame::{CanFrame, CanId, DATA_MAX, Layout};
 use super::odometry::{OdometryAssembly, RawOdometry, Unwrapper};
 use super::receiver::Receiver;

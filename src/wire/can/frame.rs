@@ -115,7 +115,7 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// Both, in the order of [`Layout::index`].
+    /// Both.
     pub const ALL: [Self; 2] = [Self::Classic, Self::Fd];
 
     /// 0 or 1.

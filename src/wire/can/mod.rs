@@ -17,6 +17,7 @@ mod daemon;
 mod database;
 mod dbc;
 mod e2e;
+mod fields;
 mod frame;
 mod odometry;
 mod receiver;

@@ -3,7 +3,7 @@
 use crate::time::Instant;
 
 use super::assembly::expired;
-use super::database::{OdometrySignals, odometry};
+use super::fields::{OdometrySignals, odometry};
 use super::frame::{CanFrame, DATA_MAX, Layout};
 use super::receiver::Fault;
 use super::{CarOdometry, WireError};

@@ -4,7 +4,7 @@ use crate::scan::Scan;
 use crate::time::Instant;
 
 use super::assembly::{ClassicAssembly, expired, payload_frame, split_classic};
-use super::database::{
+use super::fields::{
     BEAMS_CLASSIC, BEAMS_FD, RANGE_INVALID, RANGE_M, RANGE_NO_RETURN, SCAN_CLASSIC, SCAN_FD,
 };
 use super::frame::{CanFrame, DATA_MAX, Layout};

@@ -4,7 +4,7 @@ use crate::command::{BrakingTail, TailSample};
 use crate::time::Instant;
 
 use super::assembly::{ClassicAssembly, expired, payload_frame, split_classic};
-use super::database::{SAMPLES_CLASSIC, SAMPLES_FD, TAIL_CLASSIC, TAIL_FD};
+use super::fields::{SAMPLES_CLASSIC, SAMPLES_FD, TAIL_CLASSIC, TAIL_FD};
 use super::frame::{CanFrame, DATA_MAX, Layout};
 use super::receiver::Fault;
 use super::signal::Signal;
