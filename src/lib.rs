@@ -27,3 +27,4 @@ pub mod time;
 pub mod tunable;
 pub mod units;
 pub mod vehicle;
+pub mod wire;

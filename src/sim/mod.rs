@@ -9,3 +9,6 @@ pub mod judge;
 pub mod lidar;
 pub mod maze;
 pub mod world;
+pub mod bus;
+pub mod drive;
+pub mod faults;

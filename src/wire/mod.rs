@@ -1,0 +1,3 @@
+//! Bytes to typed values and back. Nothing here knows a socket or a clock.
+
+pub mod can;
