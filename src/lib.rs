@@ -12,6 +12,7 @@
 pub mod command;
 pub mod control;
 pub mod frames;
+pub mod guard;
 pub mod localize;
 pub mod map;
 pub mod mapfile;

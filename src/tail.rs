@@ -170,6 +170,13 @@ impl TailCurve {
         a.curvature_pm + u * (b.curvature_pm - a.curvature_pm)
     }
 
+    /// Highest speed `s_m` along the curve from which the rest of it ends at rest, m/s.
+    pub fn speed_at(&self, s_m: f64) -> f64 {
+        let (i, u) = self.locate(s_m);
+        let (a, b) = (&self.points[i], &self.points[(i + 1).min(self.points.len() - 1)]);
+        (a.speed_squared + u * (b.speed_squared - a.speed_squared)).max(0.0).sqrt()
+    }
+
     /// Where a car stands relative to the curve. `s_guess_m` is where it was found last.
     pub fn locate_car(&self, car: Pose, s_guess_m: f64) -> TailPosition {
         let length = self.length_m();
