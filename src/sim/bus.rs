@@ -56,7 +56,7 @@ pub struct FrameBits {
 }
 
 impl FrameBits {
-    /// Counts the bits of a frame (ISO 11898-1:2015, figures 11 to 15).
+    /// Counts the bits of a frame (ISO 11898-1:2015).
     pub fn of(frame: &CanFrame) -> Self {
         Self::count(frame.id.is_extended(), frame.fd, frame.data().len() as u32)
     }

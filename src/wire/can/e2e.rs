@@ -1,5 +1,5 @@
 //! End-to-end protection: AUTOSAR profile 11 on classic frames, profile 5 on CAN FD frames
-//! (AUTOSAR PRS_E2EProtocol R20-11, 6.6 and 6.12).
+//! (AUTOSAR PRS_E2EProtocol).
 //!
 //! | | profile 11, Data ID mode "both" (11A) | profile 5 |
 //! |---|---|---|
@@ -149,7 +149,7 @@ impl Checker {
 mod tests {
     use super::*;
 
-    /// The protocol examples of AUTOSAR PRS_E2EProtocol R20-11: profile 11A, Data ID 0x123, zeros.
+    /// The protocol examples of AUTOSAR PRS_E2EProtocol: profile 11A, Data ID 0x123, zeros.
     #[test]
     fn profile_11_agrees_with_the_examples_of_the_specification() {
         let mut protector = Protector::new(Layout::Classic, 0x123);
