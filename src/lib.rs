@@ -9,6 +9,7 @@
 //! Only `shell` knows clocks, sockets, threads and files. `docs/architecture.md` has the module
 //! tree and which module may use which.
 
+pub mod autopilot;
 pub mod command;
 pub mod control;
 pub mod frames;

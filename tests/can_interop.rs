@@ -151,6 +151,7 @@ impl Chance {
             plan: self.0.random(),
             anchor_travelled_m: self.between(0.0, 42_949.0),
             anchor_turned_rad: self.between(-2147.0, 2147.0),
+            anchor_offset_m: self.between(-0.25, 0.25),
             spacing_m: self.between(0.01, 0.6),
             samples: (0..samples)
                 .map(|i| TailSample {
@@ -263,7 +264,7 @@ fn checks_of_tail(layout: Layout, tail: &BrakingTail, frames: &[CanFrame]) -> Ve
                     "Part" => json!("Head"), "Plan" => number(tail.plan),
                     "SampleCount" => number(tail.samples.len() as f64),
                     "AnchorTravelled" => travelled, "AnchorTurned" => turned,
-                    "Spacing" => spacing,
+                    "Spacing" => spacing, "AnchorOffset" => near(tail.anchor_offset_m, 5e-6),
                 },
             )];
             for (i, frame) in frames[1..].iter().enumerate() {
@@ -289,6 +290,7 @@ fn checks_of_tail(layout: Layout, tail: &BrakingTail, frames: &[CanFrame]) -> Ve
                     signals! {
                         "EndPlan" => number(tail.plan),
                         "EndSampleCount" => number(tail.samples.len() as f64),
+                        "AnchorOffset" => near(tail.anchor_offset_m, 5e-4),
                     },
                 ),
             ];

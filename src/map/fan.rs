@@ -84,7 +84,11 @@ pub(super) struct Fan {
     gaps: Vec<Gap>,
     /// Square of the farthest that the region can reach in each gap and its neighbours.
     reach2: Vec<f32>,
+    /// Radius that is proven free in both gaps beside each beam, metres.
+    clear_m: Vec<f32>,
     full: bool,
+    /// How far the beam coordinate may be off, with two beams to spare.
+    slack: f32,
     first_rad: f32,
     per_rad: f32,
     period: f32,
@@ -128,6 +132,7 @@ impl Fan {
         self.first_rad = (pose.heading_rad + scan.angle_rad(first)).rem_euclid(TAU) as f32;
         self.per_rad = (1.0 / step) as f32;
         self.period = (TAU / step) as f32;
+        self.slack = 2.0 + 5e-5 * self.per_rad;
         self.find_straight(limits.straight_m);
         self.span_gaps(step, closing);
     }
@@ -164,13 +169,42 @@ impl Fan {
         })
     }
 
-    /// A cheap test that a cell with its centre at `(x, y)` metres from the sensor must pass before
-    /// [`covers`](Self::covers) can. May refuse a little more than needed at the fan's ends.
+    /// A cheap answer to [`covers`](Self::covers) for a square centred at `(x, y)` metres from the
+    /// sensor with half a diagonal of `half_diagonal_m`, or `None` where only the exact test tells.
+    /// "No" may be a little too careful at the ends of a partial fan.
     #[inline]
-    pub fn may_reach(&self, x: f32, y: f32) -> bool {
-        let index = self.beam_coordinate(x, y) as usize;
+    pub fn glance(&self, x: f32, y: f32, half_diagonal_m: f32) -> Option<bool> {
+        let at = self.beam_coordinate(x, y);
+        let distance2 = x * x + y * y;
         // A partial fan has no gap behind its last beam.
-        self.reach2.get(index).is_some_and(|reach2| x * x + y * y <= *reach2)
+        if self.reach2.get(at as usize).is_none_or(|reach2| distance2 > *reach2) {
+            return Some(false);
+        }
+        let distance = distance2.sqrt();
+        let far = distance + half_diagonal_m;
+        if distance < 4.0 * half_diagonal_m || f64::from(far) > self.radius_m {
+            return None;
+        }
+        // asin(t) < 1.02 t up to t = 1/4; two beams more on each side cover the coordinate's error
+        // and a closing gap of another width.
+        let aside = 1.02 * half_diagonal_m / distance * self.per_rad + self.slack;
+        let n = self.clear_m.len() as i32;
+        let (first, last) = ((at - aside).floor() as i32, (at + aside).ceil() as i32);
+        if !self.full && (first < 0 || last >= n) || last - first >= n {
+            return None;
+        }
+        let clear = if first < 0 {
+            let (tail, head) =
+                (&self.clear_m[(first + n) as usize..], &self.clear_m[..=last as usize]);
+            tail.iter().chain(head).all(|clear| *clear >= far)
+        } else if last >= n {
+            let (tail, head) =
+                (&self.clear_m[first as usize..], &self.clear_m[..=(last - n) as usize]);
+            tail.iter().chain(head).all(|clear| *clear >= far)
+        } else {
+            self.clear_m[first as usize..=last as usize].iter().all(|clear| *clear >= far)
+        };
+        clear.then_some(true)
     }
 
     /// Whether the whole rectangle `low..high` (relative to the sensor, map axes) is proven free.
@@ -290,6 +324,11 @@ impl Fan {
             self.beams[i].limit_m = self.beams[i].limit_m.min(a);
             self.beams[j].limit_m = self.beams[j].limit_m.min(b);
         }
+        // A chord is nearest in its middle, by the cosine of half its angle; and one part in 10^5
+        // for single precision.
+        let chord = (0.5 * step.max(closing.min(GAP_MAX_RAD))).cos() * (1.0 - 1e-5);
+        self.clear_m.clear();
+        self.clear_m.extend(self.beams.iter().map(|beam| (beam.limit_m * chord) as f32));
         for i in 0..gaps {
             let reach = (-1..=2)
                 .filter_map(|steps| self.neighbour(i, steps))
@@ -446,6 +485,65 @@ mod tests {
             }
             let (low, high) = square(0.0, 0.01);
             assert!(fan.covers(low, high), "the square around the sensor");
+        }
+    }
+
+    #[test]
+    fn a_glance_never_contradicts_the_exact_test() {
+        let mut fan = Fan::default();
+        let (mut yes, mut no) = (0, 0);
+        let layouts = [(1080, 0.3, TAU / 1080.0), (900, -2.0, 0.005), (718, 0.1, TAU / 718.4)];
+        for (count, first, step) in layouts {
+            let range =
+                |angle: f64| 3.0 + (7.0 * angle).sin() + 0.5 * (31.0 * angle).sin().signum();
+            fan.set(&Pose::new(0.0, 0.0, 0.4), &scan(count, first, step, range), &limits());
+            for iy in -50..50 {
+                for ix in -50..50 {
+                    let (x, y) = (0.1 * f64::from(ix) + 0.03, 0.1 * f64::from(iy) + 0.02);
+                    let (low, high) = square(x, y);
+                    let exact = fan.covers(low, high);
+                    match fan.glance(x as f32, y as f32, 0.0566) {
+                        Some(true) => assert!(exact, "({x}, {y})"),
+                        Some(false) => no += 1,
+                        None => continue,
+                    }
+                    yes += usize::from(exact);
+                    if count == 1080 && exact {
+                        assert_ne!(fan.glance(x as f32, y as f32, 0.0566), Some(false));
+                    }
+                }
+            }
+        }
+        assert!(yes > 3000 && no > 3000, "{yes} {no}");
+    }
+
+    #[test]
+    fn behind_an_edge_the_gap_between_its_two_beams_is_not_proven() {
+        let mut fan = Fan::default();
+        // The beam at 0 is the last one on an edge 2 m away.
+        let range = |angle: f64| if angle < 0.001 { 2.0 } else { 7.5 };
+        fan.set(&Pose::new(0.0, 0.0, 0.0), &scan(1000, -2.91, 0.00582, range), &limits());
+        let edge: f64 = -2.91 + 0.00582 * 500.0;
+        assert!(edge.abs() < 1e-9);
+        // At 3 m the next beam passes 0.0175 m above.
+        for (lowest, free) in [(-0.01, false), (0.01, false), (0.019, true)] {
+            let (low, high) = square(3.0, lowest + 0.04);
+            assert_eq!(fan.covers(low, high), free, "{lowest}");
+        }
+    }
+
+    #[test]
+    fn where_the_surface_is_not_straight_half_a_beam_spacing_is_kept_off() {
+        let mut fan = Fan::default();
+        let mut scan = scan(1080, 0.0, TAU / 1080.0, |_| 3.0);
+        for range in scan.ranges_m.iter_mut().step_by(2) {
+            *range = 3.05;
+        }
+        fan.set(&Pose::new(0.0, 0.0, 0.0), &scan, &limits());
+        // 3 m less half of 0.0175 m is 2.991 m.
+        for (far, free) in [(2.985, true), (2.995, false)] {
+            let (low, high) = square(far - 0.04, 0.0);
+            assert_eq!(fan.covers(low, high), free, "{far}");
         }
     }
 

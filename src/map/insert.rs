@@ -112,6 +112,12 @@ impl Mapper {
         }
     }
 
+    /// A mapper that starts from a known map; the grid's resolution counts.
+    pub fn with_grid(params: &MapParams, grid: Grid) -> Self {
+        let params = MapParams { resolution_m: grid.resolution_m(), ..params.clone() };
+        Self { grid: Arc::new(grid), ..Self::new(&params) }
+    }
+
     /// The grid as it is now.
     pub fn grid(&self) -> &Grid {
         &self.grid
@@ -297,6 +303,7 @@ impl Mapper {
         let (first, last) = (self.grid.cell_at(low), self.grid.cell_at(high));
         let bounds = self.grid.bounds();
         let half = Vector::repeat((0.5 * resolution - self.params.free_tolerance_m).max(0.0));
+        let reach = half.norm() as f32;
         for iy in first.iy..=last.iy {
             let Some(row) = self.grid.row(iy) else { continue };
             let y = (f64::from(iy) + 0.5) * resolution - sensor.y;
@@ -315,11 +322,15 @@ impl Mapper {
             for (i, _) in cells.iter().enumerate().filter(|(_, cell)| **cell == Cell::Unknown) {
                 let ix = x0 + i as i32;
                 let x = (f64::from(ix) + 0.5) * resolution - sensor.x;
-                if self.fan.may_reach(x as f32, y as f32) {
-                    let centre = Vector::new(x, y);
-                    if self.fan.covers(centre - half, centre + half) {
-                        self.freed.push(CellIndex::new(ix, iy));
+                let free = match self.fan.glance(x as f32, y as f32, reach) {
+                    Some(plain) => plain,
+                    None => {
+                        let centre = Vector::new(x, y);
+                        self.fan.covers(centre - half, centre + half)
                     }
+                };
+                if free {
+                    self.freed.push(CellIndex::new(ix, iy));
                 }
             }
         }
@@ -457,14 +468,16 @@ mod tests {
     /// Deepest point of a cell's square inside an obstacle, on a dense lattice with its corners.
     fn intrusion(world: &[Block], grid: &Grid, c: CellIndex) -> f64 {
         let h = grid.resolution_m();
-        let mut deepest = f64::NEG_INFINITY;
+        let centre = grid.centre(c);
+        let near: Vec<_> = world.iter().filter(|b| b.depth(centre) > -h).collect();
+        let mut deepest = if near.is_empty() { -h } else { f64::NEG_INFINITY };
         for i in 0..=10 {
             for j in 0..=10 {
                 let p = Point::new(
                     (f64::from(c.ix) + 0.1 * f64::from(i)) * h,
                     (f64::from(c.iy) + 0.1 * f64::from(j)) * h,
                 );
-                deepest = world.iter().map(|b| b.depth(p)).fold(deepest, f64::max);
+                deepest = near.iter().map(|b| b.depth(p)).fold(deepest, f64::max);
             }
         }
         deepest
@@ -611,6 +624,24 @@ mod tests {
         let again = mapper.insert(&pose, &lidar(&world, &pose, 1080));
         assert_eq!(again, Insertion::default());
         assert!(Arc::ptr_eq(&kept, &mapper.snapshot()));
+    }
+
+    #[test]
+    fn the_one_frontier_of_a_bend_lies_round_it() {
+        let world = corridor();
+        let mut mapper = Mapper::new(&MapParams::default());
+        // Walls seen at grazing angles are full of gaps, from every place.
+        for i in 0..12 {
+            let pose = Pose::new(-0.5 + 0.19 * f64::from(i), 0.3 - 0.05 * f64::from(i), 0.1);
+            mapper.insert(&pose, &lidar(&world, &pose, 1080));
+            let mut field = crate::map::DistanceField::new(crate::map::Blocking::Occupied, 1.5);
+            field.update(mapper.grid(), CellRect::EMPTY);
+            let start = mapper.grid().cell_at(pose.position);
+            let found = crate::map::frontiers(mapper.grid(), &field, start, 0.2);
+            assert_eq!(found.len(), 1, "{pose:?} {found:?}");
+            let at = mapper.grid().centre(found[0].representative);
+            assert!(at.x > 3.5 && at.y > 0.0, "{at}");
+        }
     }
 
     #[test]

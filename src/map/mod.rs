@@ -14,4 +14,4 @@ pub use clearance::{Clearance, clearance_m, segment_clearance_m};
 pub use distance::{Blocking, DistanceField};
 pub use frontier::{Frontier, FrontierFinder, frontiers};
 pub use grid::{Cell, CellIndex, CellRect, Grid};
-pub use insert::{Insertion, MapParams, Mapper, Refusal};
+pub use insert::{CELLS_MAX, Insertion, MapParams, Mapper, Refusal};

@@ -73,6 +73,21 @@ macro_rules! sections {
 
 sections! {
     vehicle: crate::vehicle::VehicleParams,
+    autopilot: crate::autopilot::AutopilotParams,
+    map: crate::map::MapParams,
+    predict: crate::predict::PredictParams,
+    plan: crate::plan::PlanParams,
+    search: crate::plan::search::SearchParams,
+    manoeuvre: crate::plan::search::ManoeuvreParams,
+    smooth: crate::plan::smooth::SmoothParams,
+    speed: crate::plan::speed::SpeedParams,
+    certify: crate::plan::certify::CertifyParams,
+    control: crate::control::ControlParams,
+    guard: crate::guard::GuardParams,
+    car: crate::sim::car::CarParams,
+    controller: crate::sim::controller::ControllerParams,
+    lidar: crate::sim::lidar::LidarParams,
+    bus: crate::sim::bus::BusParams,
 }
 
 /// The row of `section.name`.

@@ -51,7 +51,12 @@ const SLIP_M: f64 = 0.02;
 /// The bubble for the path point `p`: every point in it has at least `keep_m` of clearance.
 ///
 /// A moved bubble still holds `p` (within 2 cm) if `p` itself has that clearance.
-pub fn bubble_at(field: &impl ClearanceField, p: Point, keep_m: f64, sizes: &BubbleSizes) -> Bubble {
+pub fn bubble_at(
+    field: &impl ClearanceField,
+    p: Point,
+    keep_m: f64,
+    sizes: &BubbleSizes,
+) -> Bubble {
     let own = field.clearance_m(p) - keep_m;
     let mut best = Bubble { centre: p, radius_m: own.min(sizes.max_m) };
     let wanted = sizes.wanted_m.min(sizes.max_m);

@@ -1,14 +1,19 @@
 //! From a map, a goal and a view of the unknown to a plan that always ends at rest in known free
 //! space.
 
+pub mod bubbles;
 pub mod certify;
 mod path;
+mod planner;
+mod request;
+pub mod search;
+mod shorten;
+pub mod smooth;
 pub mod speed;
 #[cfg(test)]
 mod test_paths;
-pub mod bubbles;
-mod path;
-pub mod smooth;
-pub mod search;
 
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
+pub use planner::{PlanParams, Planner, PlannerParams, Policy, SHORTEST_PLAN_M, Stopwatch};
+pub use request::{Goal, Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
+pub use shorten::shorten;

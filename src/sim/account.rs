@@ -48,6 +48,16 @@ impl Account {
         }
     }
 
+    /// Enters a map that was given beforehand: every free cell counts as shown.
+    pub fn show_all(&mut self, world: &World) {
+        for iy in 0..world.height() {
+            for ix in 0..world.width() {
+                let free = !world.is_cell_solid(ix as i64, iy as i64);
+                self.shown[iy * world.width() + ix] = free;
+            }
+        }
+    }
+
     /// Whether the cell that holds the point has been shown free.
     pub fn is_shown(&self, world: &World, point: Point) -> bool {
         let p = world.to_local(point);

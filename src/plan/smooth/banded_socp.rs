@@ -106,10 +106,8 @@ impl Cone {
         let cross = (self.z0 + dot(self.z, self.u)) * is * iz;
         let half = 0.5 / (0.5 * (1.0 + cross)).sqrt();
         self.w0 = half * (is + self.z0 * iz);
-        self.w = [
-            half * (self.u[0] * is - self.z[0] * iz),
-            half * (self.u[1] * is - self.z[1] * iz),
-        ];
+        self.w =
+            [half * (self.u[0] * is - self.z[0] * iz), half * (self.u[1] * is - self.z[1] * iz)];
         self.inv_beta = (rz * is).sqrt();
         (self.l0, self.l) = self.unscale(1.0, self.u);
         true
@@ -354,10 +352,8 @@ impl BandedSolver {
             let (mut gap, mut primal, mut reach) = (0.0, 0.0_f64, 0.0);
             for (cone, centre) in self.cones.iter_mut().zip(&self.at_centres) {
                 let value = cone.linear(&self.x);
-                cone.res = [
-                    cone.u[0] - value[0] - cone.offset[0],
-                    cone.u[1] - value[1] - cone.offset[1],
-                ];
+                cone.res =
+                    [cone.u[0] - value[0] - cone.offset[0], cone.u[1] - value[1] - cone.offset[1]];
                 primal = primal.max(cone.res[0].abs()).max(cone.res[1].abs());
                 gap += cone.z0 + dot(cone.u, cone.z);
                 reach += cone.z0 + dot(cone.z, *centre);
@@ -576,10 +572,7 @@ impl BandedSolver {
         for cone in &self.cones {
             let ib2 = cone.inv_beta * cone.inv_beta;
             let wr = 2.0 * dot(cone.w, cone.res);
-            let v = [
-                ib2 * (cone.w[0] * wr + cone.res[0]),
-                ib2 * (cone.w[1] * wr + cone.res[1]),
-            ];
+            let v = [ib2 * (cone.w[0] * wr + cone.res[0]), ib2 * (cone.w[1] * wr + cone.res[1])];
             cone.scatter(v, &mut self.rhs);
         }
     }

@@ -73,7 +73,12 @@ pub fn random_route(seed: u64, cells: usize) -> Vec<(i32, i32)> {
 }
 
 /// Shortest way on 8-connected 0.1 m cells whose centres keep `keep_m`, without cutting corners.
-pub fn guide_on_cells(field: &impl ClearanceField, from: Point, to: Point, keep_m: f64) -> Vec<Point> {
+pub fn guide_on_cells(
+    field: &impl ClearanceField,
+    from: Point,
+    to: Point,
+    keep_m: f64,
+) -> Vec<Point> {
     const CELLS: i32 = 260;
     const STEP_M: f64 = 0.1;
     let centre = |i: i32| {
@@ -100,9 +105,7 @@ pub fn guide_on_cells(field: &impl ClearanceField, from: Point, to: Point, keep_
         if cost > best[at as usize] {
             continue;
         }
-        for (dx, dy) in
-            [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)]
-        {
+        for (dx, dy) in [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)] {
             let (x, y) = (at % CELLS + dx, at / CELLS + dy);
             if !(0..CELLS).contains(&x) || !(0..CELLS).contains(&y) {
                 continue;
@@ -157,6 +160,7 @@ pub fn travel_time_s(path: &Path, grip: f64, speed_max: f64, start_speed: f64) -
         let ds = p[i + 1].s_m - p[i].s_m;
         b[i + 1] = b[i + 1].min(b[i] + gain(b[i], i, ds));
     }
-    let times = (0..last).map(|i| 2.0 * (p[i + 1].s_m - p[i].s_m) / (b[i].sqrt() + b[i + 1].sqrt()));
+    let times =
+        (0..last).map(|i| 2.0 * (p[i + 1].s_m - p[i].s_m) / (b[i].sqrt() + b[i + 1].sqrt()));
     Some(times.sum())
 }

@@ -118,8 +118,7 @@ impl Program {
     /// By how much given points break the worst constraint, relative to its bound; not positive
     /// when they keep them all.
     pub fn violation(&self, x: &[Point]) -> f64 {
-        let discs =
-            self.discs.iter().zip(x).map(|(d, p)| (p - d.centre).norm() / d.radius_m - 1.0);
+        let discs = self.discs.iter().zip(x).map(|(d, p)| (p - d.centre).norm() / d.radius_m - 1.0);
         let bends = self.bends.iter().map(|b| b.stencil.at(x).norm() / b.bound_m - 1.0);
         discs.chain(bends).fold(f64::NEG_INFINITY, f64::max)
     }

@@ -6,8 +6,8 @@ use super::reference;
 use super::request::{SmoothError, SmoothParams, SmoothRequest, SmoothStats, Smoothed, Solver};
 use super::spline::Spline;
 use crate::frames::{Point, Vector, heading_vector};
-use crate::plan::bubbles::{Bubble, BubbleSizes, ClearanceField, bubble_at};
 use crate::plan::Path;
+use crate::plan::bubbles::{Bubble, BubbleSizes, ClearanceField, bubble_at};
 
 /// Samples of the finished path are at most this far apart.
 const SAMPLE_SPACING_M: f64 = 0.05;
@@ -107,7 +107,8 @@ impl<F: ClearanceField> Task<'_, F> {
             return limit * factor;
         }
         let bare = 0.998;
-        let share = bare + (self.params.curvature_share.min(bare) - bare) * self.ramp(s_m, strictness);
+        let share =
+            bare + (self.params.curvature_share.min(bare) - bare) * self.ramp(s_m, strictness);
         let turn = limit * share * self.curvature_share;
         let grip = self.request.acceleration_limit_mps2;
         let energy = self.request.start_speed_mps.powi(2);
@@ -145,7 +146,8 @@ impl Smoother {
         let sizes = sizes(params);
         let last = *self.reference.last().expect("the guide has points");
         // An end at the horizon is nobody's wish: it moves to where there is room.
-        let end = if complete { last } else { bubble_at(field, last, request.radius_m, &sizes).centre };
+        let end =
+            if complete { last } else { bubble_at(field, last, request.radius_m, &sizes).centre };
         let mut task = Task {
             field,
             request,
@@ -377,7 +379,11 @@ impl Smoother {
         let step = forward * d_m;
         if fixed_first.is_none() {
             let turn = stencil(&[(1, -3.0)], (start + step) * 3.0);
-            self.program.bends.push(Bend { stencil: turn, bound_m: bound(0), weight: 0.5 * weight });
+            self.program.bends.push(Bend {
+                stencil: turn,
+                bound_m: bound(0),
+                weight: 0.5 * weight,
+            });
         }
         let turn = stencil(&[(1, 2.5), (2, -1.0)], (start * 3.0 + step) * -0.5);
         self.program.bends.push(Bend { stencil: turn, bound_m: bound(1), weight });
@@ -401,15 +407,20 @@ impl Smoother {
         // Steps C_{k-1} C_k and C_k C_{k+1} along the reference's directions.
         let evenness = std::env::var("EVEN").map_or(1000.0, |v| v.parse().unwrap());
         let weight = evenness / (squared * squared);
-        let reach = ((0.01 + std::env::var("REACH").map_or(0.0, |v| v.parse().unwrap())) / d_m) as usize;
+        let reach =
+            ((0.01 + std::env::var("REACH").map_or(0.0, |v| v.parse().unwrap())) / d_m) as usize;
         let along = |k: usize| {
             let (a, b) = (k.saturating_sub(reach), (k + 1 + reach).min(n));
             (self.reference[b] - self.reference[a]).normalize()
         };
         for k in 2..n {
             let (t0, t1) = (along(k - 1), along(k));
-            let mut row =
-                Unevenness { first: (k - 1).max(low).min(high - 3) - low, coef: [Vector::zeros(); 3], offset_m: 0.0, weight };
+            let mut row = Unevenness {
+                first: (k - 1).max(low).min(high - 3) - low,
+                coef: [Vector::zeros(); 3],
+                offset_m: 0.0,
+                weight,
+            };
             for (j, c) in [(k - 1, t0), (k, -t0 - t1), (k + 1, t1)] {
                 if (low..high).contains(&j) {
                     row.coef[j - low - row.first] += c;
@@ -448,9 +459,11 @@ impl Smoother {
         stats: &mut SmoothStats,
     ) -> Result<(), (SmoothError, Mend)> {
         let limit_pm = task.request.curvature_limit_pm;
-        let tightest = self.path.points.iter().max_by(|a, b| {
-            a.curvature_pm.abs().total_cmp(&b.curvature_pm.abs())
-        });
+        let tightest = self
+            .path
+            .points
+            .iter()
+            .max_by(|a, b| a.curvature_pm.abs().total_cmp(&b.curvature_pm.abs()));
         let tightest = tightest.expect("a path has samples");
         stats.curvature_max_pm = tightest.curvature_pm.abs();
         if !(stats.curvature_max_pm <= limit_pm * (1.0 + CURVATURE_TOLERANCE)) {

@@ -1,7 +1,6 @@
 use super::corridors::*;
 use super::*;
 use crate::frames::{Point, Pose};
-use crate::plan::bubbles::ClearanceField;
 
 pub const GRIP: f64 = 0.9 * 9.81;
 
@@ -53,17 +52,30 @@ fn explore() {
                 Ok(s) => {
                     let t = travel_time_s(&s.path, GRIP, speed, 0.0).unwrap();
                     if std::env::var("VERBOSE").is_ok() {
-                        println!("{seed} {passes} T {t:.4} L {:.2} {:?} {ms:.2} ms", s.path.length_m(), s.stats);
+                        println!(
+                            "{seed} {passes} T {t:.4} L {:.2} {:?} {ms:.2} ms",
+                            s.path.length_m(),
+                            s.stats
+                        );
                     }
                     table[passes as usize - 1].push(t);
                 }
-                Err(e) => if passes % 4 == 0 { println!("{seed} {passes} {e}") },
+                Err(e) => {
+                    if passes % 4 == 0 {
+                        println!("{seed} {passes} {e}")
+                    }
+                }
             }
         }
     }
     let best = &table[7];
     for (i, row) in table.iter().enumerate() {
         let mean: f64 = row.iter().sum::<f64>() / row.len() as f64;
-        println!("passes {} mean T {mean:.4} n {} rel {:.4}", i + 1, row.len(), mean / (best.iter().sum::<f64>() / best.len() as f64));
+        println!(
+            "passes {} mean T {mean:.4} n {} rel {:.4}",
+            i + 1,
+            row.len(),
+            mean / (best.iter().sum::<f64>() / best.len() as f64)
+        );
     }
 }

@@ -183,6 +183,7 @@ impl CarDecoder {
                 self.turned_rad,
                 raw.anchor_turned as u32,
             ),
+            anchor_offset_m: raw.anchor_offset_m,
             spacing_m: raw.spacing_m,
             samples: raw.samples,
         }

@@ -84,6 +84,7 @@ signals!(TailFdSignals {
     count,
     anchor_travelled,
     anchor_turned,
+    anchor_offset,
     spacing,
     first_sample,
     curvature,
@@ -99,6 +100,7 @@ signals!(TailClassicSignals {
     spacing,
     end_plan,
     end_count,
+    anchor_offset,
     seal
 });
 
@@ -420,6 +422,7 @@ const SEAL: &str = "CRC-16 CCITT (start 0xFFFF) over bytes 2 to 7 of every frame
 const TAIL_PLAN: &str = "Number of the committed plan, wrapping";
 const TAIL_TRAVELLED: &str = "Travelled where the tail begins, wrapping like Travelled";
 const TAIL_TURNED: &str = "Turned where the tail begins, wrapping like Turned";
+const TAIL_OFFSET: &str = "How far the car was to the left of the path where the tail begins";
 const TAIL_SPACING: &str = "Distance from one sample to the next";
 const TAIL_CURVATURE: &str = "Curvature of the path at the sample, left positive";
 const TAIL_SPEED: &str = "Largest speed at the sample from which the tail still ends at rest";
@@ -447,6 +450,9 @@ pub(super) const TAIL_FD: TailFdSignals = {
             .signed()
             .on(0, 0),
         spacing: Signal::new("Spacing", p + 88, 16, TRAVELLED_M, "m", TAIL_SPACING).on(0, 0),
+        anchor_offset: Signal::new("AnchorOffset", p + 104, 16, TRAVELLED_M, "m", TAIL_OFFSET)
+            .signed()
+            .on(0, 0),
         first_sample: Signal::new("FirstSample", p + 16, 8, 1.0, "", "Number of the first sample")
             .on(1, 1),
         curvature: Signal::new("Curvature", p + 24, 16, 5e-4, "1/m", TAIL_CURVATURE)
@@ -488,6 +494,9 @@ pub(super) const TAIL_CLASSIC: TailClassicSignals = {
         end_plan: Signal::new("EndPlan", p, 16, 1.0, "", "Plan number, as in the head").on(15, 15),
         end_count: Signal::new("EndSampleCount", p + 16, 7, 1.0, "", TAIL_COUNT)
             .offset(1.0)
+            .on(15, 15),
+        anchor_offset: Signal::new("AnchorOffset", p + 23, 9, 1e-3, "m", TAIL_OFFSET)
+            .signed()
             .on(15, 15),
         seal: Signal::new("Seal", p + 32, 16, 1.0, "", SEAL).on(15, 15),
     }

@@ -16,6 +16,7 @@ pub(super) struct RawTail {
     pub(super) plan: u16,
     pub(super) anchor_travelled: u32,
     pub(super) anchor_turned: i32,
+    pub(super) anchor_offset_m: f64,
     pub(super) spacing_m: f64,
     pub(super) samples: Vec<TailSample>,
 }
@@ -82,6 +83,8 @@ pub(super) fn encode(
             s.anchor_travelled.put(&mut frames[0], travelled);
             s.anchor_turned.put(&mut frames[0], turned);
             s.spacing.put(&mut frames[0], spacing);
+            let offset = s.anchor_offset.quantise(tail.anchor_offset_m)?;
+            s.anchor_offset.put(&mut frames[0], offset);
             for (i, block) in samples.chunks(SAMPLES_FD).enumerate() {
                 let data = &mut frames[i + 1];
                 let first = i * SAMPLES_FD;
@@ -113,6 +116,8 @@ pub(super) fn encode(
             let mut end = [0; DATA_MAX];
             s.end_plan.put(&mut end, plan);
             s.end_count.put(&mut end, count);
+            let offset = s.anchor_offset.quantise(tail.anchor_offset_m)?;
+            s.anchor_offset.put(&mut end, offset);
             let seal = |data: &mut _, seal| s.seal.put(data, i64::from(seal));
             split_classic(&heads, blocks.into_iter(), end, seal, bytes, &mut emit);
         }
@@ -197,6 +202,7 @@ impl TailAssembly {
             plan: s.plan.get(&first) as u16,
             anchor_travelled: s.anchor_travelled.get(&first) as u32,
             anchor_turned: s.anchor_turned.get(&second) as i32,
+            anchor_offset_m: s.anchor_offset.value(end),
             spacing_m: s.spacing.value(&second),
             samples,
         }))
@@ -226,6 +232,7 @@ impl TailAssembly {
                 plan,
                 anchor_travelled: s.anchor_travelled.get(data) as u32,
                 anchor_turned: s.anchor_turned.get(data) as i32,
+                anchor_offset_m: s.anchor_offset.value(data),
                 spacing_m: s.spacing.value(data),
                 samples: Vec::with_capacity(self.count),
             };

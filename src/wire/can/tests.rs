@@ -31,6 +31,7 @@ fn tail(samples: usize) -> BrakingTail {
         plan: 77,
         anchor_travelled_m: 123.456_78,
         anchor_turned_rad: -4.567_891,
+        anchor_offset_m: -0.021,
         spacing_m,
         samples: (0..samples)
             .map(|i| TailSample {
@@ -397,6 +398,7 @@ fn tails_of_all_sizes_arrive_and_never_allow_more_speed_than_was_sent() {
             assert_eq!(got.plan, sent.plan);
             assert!((got.anchor_travelled_m - sent.anchor_travelled_m).abs() < 6e-6);
             assert!((got.anchor_turned_rad - sent.anchor_turned_rad).abs() < 6e-7);
+            assert!((got.anchor_offset_m - sent.anchor_offset_m).abs() < 6e-4);
             assert!((got.spacing_m - sent.spacing_m).abs() < 1e-9);
             assert_eq!(got.samples.len(), samples);
             for (sent, got) in sent.samples.iter().zip(&got.samples) {

@@ -1,0 +1,154 @@
+//! What the core is told, what it tells, and what it counts.
+
+use super::{Fault, Mode};
+use crate::frames::Point;
+use crate::plan::Rejection;
+use crate::time::{Duration, Instant};
+
+/// A wish of a person or a ground station.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// Makes the car ready to move; clears latched faults.
+    Arm,
+    /// Brings the car to rest and forgets the goal.
+    Disarm,
+    /// Drive to a point, map frame.
+    Goto(Point),
+    /// Come to rest on the way, keep the goal.
+    Pause,
+    /// Go on after a pause.
+    Continue,
+}
+
+/// Why a command was refused.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The goal is not a point.
+    #[error("the goal ({x_m}, {y_m}) m is not a finite point")]
+    GoalNotFinite {
+        /// Metres.
+        x_m: f64,
+        /// Metres.
+        y_m: f64,
+    },
+    /// Arm first.
+    #[error("the car is not armed")]
+    NotArmed,
+    /// There is nothing to pause.
+    #[error("the car is not driving")]
+    NotDriving,
+    /// There is nothing to continue.
+    #[error("no goal is being held")]
+    NothingToContinue,
+    /// Pre-arm check.
+    #[error("no fresh wheel odometry")]
+    NoOdometry,
+    /// Pre-arm check.
+    #[error("no fresh lidar scan")]
+    NoScan,
+    /// Pre-arm check.
+    #[error("no fresh status from the car's controller")]
+    NoStatus,
+    /// Pre-arm check.
+    #[error("the emergency stop is pressed")]
+    EmergencyStop,
+    /// Pre-arm check.
+    #[error("the car is moving")]
+    Moving,
+}
+
+/// Something worth a line in the log.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event {
+    /// Another mode.
+    ModeChanged {
+        /// When.
+        at: Instant,
+        /// Before.
+        from: Mode,
+        /// After.
+        to: Mode,
+    },
+    /// A fault became active.
+    FaultRaised {
+        /// When.
+        at: Instant,
+        /// Which.
+        fault: Fault,
+    },
+    /// A fault is over.
+    FaultCleared {
+        /// When.
+        at: Instant,
+        /// Which.
+        fault: Fault,
+    },
+    /// A plan will take over.
+    PlanAdopted {
+        /// Its number.
+        number: u32,
+        /// Where it ends, map frame.
+        stop: Point,
+        /// Its length, metres.
+        length_m: f64,
+    },
+    /// A step gave no plan.
+    PlanRejected {
+        /// Its number.
+        number: u32,
+        /// Why.
+        rejection: Rejection,
+    },
+    /// A plan came too late to take over.
+    PlanLate {
+        /// Its number.
+        number: u32,
+    },
+    /// The plan under way was cut short, because something stands on it.
+    PlanShortened {
+        /// When.
+        at: Instant,
+        /// Number of the shortened plan.
+        number: u32,
+    },
+    /// At rest inside the goal disc.
+    GoalReached {
+        /// When.
+        at: Instant,
+        /// Where, by the car's own estimate, map frame.
+        position: Point,
+    },
+}
+
+/// Counts since the start.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Statistics {
+    /// Scans put into the map.
+    pub scans: u64,
+    /// Scans dropped because the pose at their time is not known.
+    pub scans_without_pose: u64,
+    /// Frames that the decoder refused.
+    pub frames_refused: u64,
+    /// Planning steps that came back.
+    pub replans: u64,
+    /// Plans that took over.
+    pub plans_adopted: u64,
+    /// Steps without a plan.
+    pub plans_rejected: u64,
+    /// Plans that came too late.
+    pub plans_late: u64,
+    /// Plans for a start that no longer exists.
+    pub plans_stale: u64,
+    /// Committed plans that something was set down on.
+    pub plans_revoked: u64,
+    /// Candidate paths of all steps.
+    pub candidates: u64,
+    /// Times the guard took over.
+    pub guard_stops: u64,
+    /// Setpoints that do not fit their frame.
+    pub setpoints_unsendable: u64,
+    /// Braking tails that do not fit their frames.
+    pub tails_unsendable: u64,
+    /// Age of the newest scan in the plan being driven, at each tick in motion.
+    pub plan_ages: Vec<Duration>,
+}

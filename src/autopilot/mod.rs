@@ -1,0 +1,650 @@
+//! The autopilot core: frames and commands in, frames and planning jobs out, no clock of its own.
+//!
+//! The caller hands in every received frame ([`Autopilot::handle_frame`]), every finished planning
+//! job ([`Autopilot::handle_job_done`]) and the passing of time ([`Autopilot::handle_time`], due at
+//! [`Autopilot::poll_at`]); it fetches frames to send, jobs to run and events to log. Planning is
+//! slower than the control tick, so it leaves as a job and comes back as an event, late or never
+//! without holding anything up: the committed plan ends at rest in known free space anyway.
+
+mod committed;
+mod event;
+mod failsafe;
+mod mode;
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+pub use committed::Committed;
+pub use event::{Command, Event, Refusal, Statistics};
+pub use failsafe::{Action, ActiveFaults, Clears, Fault, Row, TABLE};
+pub use mode::Mode;
+
+use crate::command::{CarStatus, ForceSetpoint};
+use crate::control::{ControlParams, Tracker, TrackingError, braking_tail};
+use crate::frames::Pose;
+use crate::guard::{Guard, GuardParams};
+use crate::localize::{ClockMap, Localizer};
+use crate::map::{CellRect, Grid, MapParams, Mapper};
+use crate::plan::certify::{CertifyParams, recertify};
+use crate::plan::speed::{SpeedLimits, SpeedParams};
+use crate::plan::{Goal, Plan, PlanRequest, StepReport, Verdict, shorten};
+use crate::scan::Scan;
+use crate::time::Instant;
+use crate::tunables;
+use crate::vehicle::VehicleParams;
+use crate::wire::can::{
+    CanFrame, CarMessage, DaemonMode, Decoder, Encoder, Layout, WireError, WireStats,
+};
+use failsafe::{
+    CORRUPT_FRAMES_PER_S, ODOMETRY_TIMEOUT_S, PLAN_TIMEOUT_S, SCAN_TIMEOUT_S, STATUS_TIMEOUT_S,
+    TICK_S,
+};
+
+tunables! {
+    /// The autopilot core.
+    pub struct AutopilotParams in "autopilot" {
+        /// Radius of the disc around a goal within which the car must come to rest.
+        goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
+        /// Time granted to a planning step: the new plan takes over this long after the request.
+        plan_budget_s: f64 = 0.02, at_rest, in 0.001..=1.0, "s";
+        /// Time between two braking tails while driving.
+        tail_period_s: f64 = 0.05, at_rest, in 0.01..=0.5, "s";
+        /// Tracking error at which the car is stopped: along with pose and map errors it must stay
+        /// within the certified margin.
+        tracking_error_max_m: f64 = 0.04, at_rest, in 0.005..=0.5, "m";
+    }
+}
+
+/// Everything that the core is made of.
+#[derive(Clone, Debug, Default)]
+pub struct CoreParams {
+    /// The car.
+    pub vehicle: VehicleParams,
+    /// The core itself.
+    pub autopilot: AutopilotParams,
+    /// The occupancy grid.
+    pub map: MapParams,
+    /// Path tracking.
+    pub control: ControlParams,
+    /// The last gate.
+    pub guard: GuardParams,
+    /// The certificate, for looking again at the plan under way.
+    pub certify: CertifyParams,
+    /// The speed profile, for shortening the plan under way.
+    pub speed: SpeedParams,
+}
+
+/// Below this speed the car counts as standing, m/s.
+const REST_SPEED_MPS: f64 = 0.02;
+/// Heartbeats are sent this often, seconds.
+const HEARTBEAT_PERIOD_S: f64 = 0.1;
+
+/// The sans-IO core.
+pub struct Autopilot {
+    params: CoreParams,
+    started: Instant,
+    mode: Mode,
+    goal: Option<Goal>,
+    faults: ActiveFaults,
+    decoder: Decoder,
+    encoder: Encoder,
+    clock: ClockMap,
+    localizer: Localizer,
+    mapper: Mapper,
+    tracker: Tracker,
+    guard: Guard,
+    committed: Committed,
+    inputs: Inputs,
+    job: Option<PlanRequest>,
+    in_flight: Option<u32>,
+    next_number: u32,
+    changed: CellRect,
+    next_tick: Instant,
+    next_tail: Instant,
+    next_heartbeat: Instant,
+    last_adopted: Instant,
+    tail_frames: Vec<CanFrame>,
+    frames: VecDeque<CanFrame>,
+    events: VecDeque<Event>,
+    statistics: Statistics,
+    last_error: TrackingError,
+}
+
+/// The newest of everything that comes in.
+#[derive(Default)]
+struct Inputs {
+    scan: Option<(Instant, Pose)>,
+    scan_received: Option<Instant>,
+    odometry_received: Option<Instant>,
+    status: Option<(Instant, CarStatus)>,
+    corrupt_at: VecDeque<Instant>,
+    raw_scan: Option<Arc<Scan>>,
+}
+
+impl Autopilot {
+    /// A disarmed core for a car that stands at `start` (map frame).
+    pub fn new(params: CoreParams, layout: Layout, start: Pose, now: Instant) -> Self {
+        let mut mapper = Mapper::new(&params.map);
+        mapper.mark_footprint(start.position, params.vehicle.radius_m + params.certify.margin_m);
+        Self {
+            started: now,
+            mode: Mode::Disarmed,
+            goal: None,
+            faults: ActiveFaults::default(),
+            decoder: Decoder::new(layout),
+            encoder: Encoder::new(layout),
+            clock: ClockMap::new(),
+            localizer: Localizer::new(start),
+            mapper,
+            tracker: Tracker::new(&params.vehicle, &params.control),
+            guard: Guard::new(&params.vehicle, &params.guard),
+            committed: Committed::standing(now, start),
+            inputs: Inputs::default(),
+            job: None,
+            in_flight: None,
+            next_number: 1,
+            changed: CellRect::EMPTY,
+            next_tick: now,
+            next_tail: now,
+            next_heartbeat: now,
+            last_adopted: now,
+            tail_frames: Vec::new(),
+            frames: VecDeque::new(),
+            events: VecDeque::new(),
+            statistics: Statistics::default(),
+            last_error: TrackingError::default(),
+            params,
+        }
+    }
+
+    /// Gives the core a map that is known from the start; scans still add to it.
+    pub fn preload_map(&mut self, grid: Grid) {
+        self.changed = self.changed.union(&grid.bounds());
+        self.mapper = Mapper::with_grid(&self.params.map, grid);
+    }
+
+    /// What it is doing.
+    pub const fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// The faults that are active.
+    pub const fn faults(&self) -> &ActiveFaults {
+        &self.faults
+    }
+
+    /// Where it is driving to.
+    pub const fn goal(&self) -> Option<&Goal> {
+        self.goal.as_ref()
+    }
+
+    /// What it knows of the world.
+    pub fn grid(&self) -> &Grid {
+        self.mapper.grid()
+    }
+
+    /// The committed plan.
+    pub const fn committed(&self) -> &Committed {
+        &self.committed
+    }
+
+    /// Estimated pose and speed at `now`.
+    pub fn state(&self, now: Instant) -> Option<(Pose, f64)> {
+        self.localizer.pose_at(now).map(|pose| (pose, self.localizer.speed_at(now)))
+    }
+
+    /// The newest complete scan.
+    pub const fn newest_scan(&self) -> Option<&Arc<Scan>> {
+        self.inputs.raw_scan.as_ref()
+    }
+
+    /// Counts since the start.
+    pub const fn statistics(&self) -> &Statistics {
+        &self.statistics
+    }
+
+    /// What the decoder has seen on the bus.
+    pub fn wire_statistics(&self) -> &WireStats {
+        self.decoder.stats()
+    }
+
+    /// How far the car was off its plan at the latest tick.
+    pub const fn tracking_error(&self) -> &TrackingError {
+        &self.last_error
+    }
+
+    // ---- inputs
+
+    /// A frame arrived.
+    pub fn handle_frame(&mut self, now: Instant, frame: &CanFrame) {
+        match self.decoder.decode(now, frame) {
+            Ok(None) => {}
+            Ok(Some(CarMessage::Odometry(odometry))) => {
+                let stamp = self.clock.map(odometry.time.as_micros(), now).stamp;
+                let wheelbase_m = self.params.vehicle.wheelbase_m;
+                let odometry = odometry.into_odometry(stamp, wheelbase_m);
+                self.localizer.handle_odometry(&odometry);
+                self.guard.handle_odometry(&odometry);
+                self.inputs.odometry_received = Some(now);
+            }
+            Ok(Some(CarMessage::Scan(scan))) => {
+                let stamp = self.clock.map(scan.time.as_micros(), now).stamp;
+                self.handle_scan(now, scan.into_scan(stamp));
+            }
+            Ok(Some(CarMessage::Status(status))) => {
+                self.inputs.status = Some((now, status));
+                if status.emergency_stop {
+                    self.raise(now, Fault::EmergencyStop);
+                }
+                if status.setpoint_lost && self.mode == Mode::Drive {
+                    self.raise(now, Fault::SetpointLost);
+                }
+            }
+            Ok(Some(CarMessage::Heartbeat(_))) => {}
+            Err(error) => {
+                if matches!(error, WireError::WrongCrc { .. }) {
+                    self.inputs.corrupt_at.push_back(now);
+                }
+                self.statistics.frames_refused += 1;
+            }
+        }
+    }
+
+    fn handle_scan(&mut self, now: Instant, scan: Scan) {
+        let Some(pose) = self.localizer.pose_at(scan.stamp) else {
+            self.statistics.scans_without_pose += 1;
+            return;
+        };
+        let insertion = self.mapper.insert(&pose, &scan);
+        self.changed = self.changed.union(&insertion.changed);
+        self.statistics.scans += 1;
+        self.inputs.scan = Some((scan.stamp, pose));
+        self.inputs.scan_received = Some(now);
+        self.guard.handle_scan(&scan);
+        self.inputs.raw_scan = Some(Arc::new(scan));
+        if insertion.turned_occupied > 0 {
+            self.certify_again(now);
+        }
+        self.request_plan(now);
+    }
+
+    /// A planning job came back.
+    pub fn handle_job_done(&mut self, now: Instant, report: StepReport) {
+        if self.in_flight != Some(report.number) {
+            return;
+        }
+        self.in_flight = None;
+        self.statistics.replans += 1;
+        self.statistics.candidates += u64::from(report.candidates);
+        match report.verdict {
+            Verdict::Plan(plan) => {
+                let welcome = self.mode == Mode::Drive && self.decisive_action().is_none();
+                if now > report.takes_over {
+                    self.statistics.plans_late += 1;
+                    self.events.push_back(Event::PlanLate { number: report.number });
+                } else if welcome && report.base == self.committed.newest().number {
+                    self.last_adopted = now;
+                    self.statistics.plans_adopted += 1;
+                    self.events.push_back(Event::PlanAdopted {
+                        number: plan.number,
+                        stop: plan.trajectory.last().path.position,
+                        length_m: plan.trajectory.last().path.s_m,
+                    });
+                    self.committed.schedule(Arc::new(*plan));
+                } else {
+                    self.statistics.plans_stale += 1;
+                }
+            }
+            Verdict::Rejected(rejection) => {
+                self.statistics.plans_rejected += 1;
+                self.events.push_back(Event::PlanRejected { number: report.number, rejection });
+            }
+            Verdict::Unreachable => {
+                self.raise(now, Fault::GoalUnreachable);
+            }
+        }
+    }
+
+    /// A person or a ground station wants something.
+    ///
+    /// # Errors
+    /// Says why it is refused; nothing has changed then.
+    pub fn handle_command(&mut self, now: Instant, command: Command) -> Result<(), Refusal> {
+        match command {
+            Command::Arm => {
+                if self.mode.is_armed() && self.mode != Mode::Stop {
+                    return Ok(());
+                }
+                self.check_ready(now)?;
+                for fault in self.faults.iter().collect::<Vec<_>>() {
+                    if fault.row().clears == Clears::ByArming {
+                        self.clear(now, fault);
+                    }
+                }
+                self.stand_here(now);
+                self.transition(now, if self.goal.is_some() { Mode::Hold } else { Mode::Standby });
+            }
+            Command::Disarm => {
+                self.goal = None;
+                self.transition(now, Mode::Disarmed);
+            }
+            Command::Goto(position) => {
+                if !(position.x.is_finite() && position.y.is_finite()) {
+                    return Err(Refusal::GoalNotFinite { x_m: position.x, y_m: position.y });
+                }
+                if !self.mode.is_armed() {
+                    return Err(Refusal::NotArmed);
+                }
+                let radius_m = self.params.autopilot.goal_radius_m;
+                self.goal = Some(Goal { position, radius_m });
+                self.clear(now, Fault::GoalUnreachable);
+                self.last_adopted = now;
+                if self.mode != Mode::Stop {
+                    self.transition(now, Mode::Drive);
+                }
+            }
+            Command::Pause => {
+                if self.mode != Mode::Drive {
+                    return Err(Refusal::NotDriving);
+                }
+                self.committed.drop_next();
+                self.transition(now, Mode::Hold);
+            }
+            Command::Continue => {
+                if self.goal.is_none() || self.mode != Mode::Hold {
+                    return Err(Refusal::NothingToContinue);
+                }
+                self.last_adopted = now;
+                self.transition(now, Mode::Drive);
+            }
+        }
+        Ok(())
+    }
+
+    /// Time has passed; does what is due.
+    pub fn handle_time(&mut self, now: Instant) {
+        if now >= self.next_tick {
+            // After a pause (a late caller) the ticks missed are not made up for.
+            while self.next_tick <= now {
+                self.next_tick = self.next_tick.offset_by(TICK_S);
+            }
+            self.tick(now);
+        }
+    }
+
+    // ---- outputs
+
+    /// When [`handle_time`](Self::handle_time) is due next.
+    pub const fn poll_at(&self) -> Instant {
+        self.next_tick
+    }
+
+    /// The next frame to send.
+    pub fn poll_frame(&mut self) -> Option<CanFrame> {
+        self.frames.pop_front()
+    }
+
+    /// The next planning job to run.
+    pub fn poll_job(&mut self) -> Option<PlanRequest> {
+        self.job.take()
+    }
+
+    /// The next thing to log.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    // ---- inside
+
+    fn transition(&mut self, now: Instant, mode: Mode) {
+        if mode != self.mode {
+            self.events.push_back(Event::ModeChanged { at: now, from: self.mode, to: mode });
+            self.mode = mode;
+        }
+    }
+
+    fn raise(&mut self, now: Instant, fault: Fault) {
+        if self.faults.set(fault, true) {
+            self.events.push_back(Event::FaultRaised { at: now, fault });
+        }
+    }
+
+    fn clear(&mut self, now: Instant, fault: Fault) {
+        if self.faults.set(fault, false) {
+            self.events.push_back(Event::FaultCleared { at: now, fault });
+        }
+    }
+
+    fn decisive_action(&self) -> Option<Action> {
+        self.faults.decisive().map(|row| row.action)
+    }
+
+    /// The committed plan becomes standing still where the car is.
+    fn stand_here(&mut self, now: Instant) {
+        if let Some(pose) = self.localizer.pose_at(now) {
+            let number = self.take_number();
+            self.committed.replace(Plan { number, ..Plan::standing(now, pose) });
+        }
+    }
+
+    fn take_number(&mut self) -> u32 {
+        let number = self.next_number;
+        self.next_number = self.next_number.wrapping_add(1);
+        number
+    }
+
+    fn request_plan(&mut self, now: Instant) {
+        let (Mode::Drive, Some(goal), None, Some((scan_stamp, scan_pose))) =
+            (self.mode, self.goal, self.in_flight, self.inputs.scan)
+        else {
+            return;
+        };
+        if self.decisive_action().is_some() {
+            return;
+        }
+        let number = self.take_number();
+        self.in_flight = Some(number);
+        self.job = Some(PlanRequest {
+            number,
+            grid: self.mapper.snapshot(),
+            changed: std::mem::replace(&mut self.changed, CellRect::EMPTY),
+            scan_stamp,
+            scan_pose,
+            committed: Arc::clone(self.committed.newest()),
+            takes_over: now.offset_by(self.params.autopilot.plan_budget_s),
+            goal,
+        });
+    }
+
+    /// A beam ended in space that was known to be free: looks at the plan under way again, and
+    /// shortens it if it no longer passes.
+    fn certify_again(&mut self, now: Instant) {
+        let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
+        if let Some(next) = self.committed.next() {
+            if recertify(&next.trajectory, 0.0, self.mapper.grid(), radius_m).is_err() {
+                self.committed.drop_next();
+            }
+        }
+        let current = &self.committed.current().trajectory;
+        let elapsed = now.seconds_after(current.start).max(0.0);
+        if recertify(current, elapsed, self.mapper.grid(), radius_m).is_ok() {
+            return;
+        }
+        self.statistics.plans_revoked += 1;
+        let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
+        match shorten(current, now, self.mapper.grid(), radius_m, &limits) {
+            Some(trajectory) => {
+                let number = self.take_number();
+                let scan_stamp = self.committed.current().scan_stamp;
+                self.events.push_back(Event::PlanShortened { at: now, number });
+                self.committed.replace(Plan { number, scan_stamp, trajectory, beyond: Vec::new() });
+                self.next_tail = now;
+            }
+            None => self.raise(now, Fault::PathBlocked),
+        }
+    }
+
+    fn tick(&mut self, now: Instant) {
+        if self.committed.promote(now) {
+            self.next_tail = now;
+        }
+        self.check_health(now);
+        let state = self.state(now);
+        let standing = state.is_none_or(|(_, speed)| speed.abs() < REST_SPEED_MPS);
+        let action = self.decisive_action();
+        match (self.mode, action) {
+            (Mode::Drive | Mode::Hold, Some(_)) => self.transition(now, Mode::Stop),
+            (Mode::Stop, None) if standing => {
+                let resumed = if self.goal.is_some() { Mode::Drive } else { Mode::Standby };
+                self.stand_here(now);
+                self.transition(now, resumed);
+            }
+            _ => {}
+        }
+        if action == Some(Action::BrakeNow) && standing && self.mode == Mode::Stop {
+            self.clear(now, Fault::PathBlocked);
+            self.clear(now, Fault::TrackingError);
+        }
+        let braking =
+            action == Some(Action::BrakeNow) || matches!(self.mode, Mode::Disarmed | Mode::Standby);
+        let setpoint = match state {
+            Some((pose, speed)) if !braking => {
+                let trajectory = &self.committed.current().trajectory;
+                let tracking = self.tracker.track(trajectory, now, pose, speed);
+                self.last_error = tracking.error;
+                tracking.setpoint
+            }
+            _ => ForceSetpoint::default(),
+        };
+        if self.mode == Mode::Drive && standing {
+            self.check_arrival(now);
+        }
+        self.send(now, setpoint);
+        if !standing {
+            let age = now.since(self.committed.current().scan_stamp);
+            self.statistics.plan_ages.push(age);
+        }
+    }
+
+    fn send(&mut self, now: Instant, setpoint: ForceSetpoint) {
+        if now >= self.next_tail {
+            self.next_tail = now.offset_by(self.params.autopilot.tail_period_s);
+            self.send_tail();
+        }
+        let decision = self.guard.check(now, setpoint);
+        let stops = self.guard.counts().stops;
+        if stops > self.statistics.guard_stops {
+            self.statistics.guard_stops = stops;
+            self.raise(now, Fault::GuardStop);
+        } else if decision.intervened.is_none() {
+            self.clear(now, Fault::GuardStop);
+        }
+        match self.encoder.encode_setpoint(&decision.setpoint) {
+            Ok(frame) => self.frames.push_back(frame),
+            Err(_) => self.statistics.setpoints_unsendable += 1,
+        }
+        if now >= self.next_heartbeat {
+            self.next_heartbeat = now.offset_by(HEARTBEAT_PERIOD_S);
+            let uptime_ms = now.since(self.started).as_millis() as u32;
+            let mode = match self.mode {
+                Mode::Disarmed => DaemonMode::Standby,
+                Mode::Standby | Mode::Hold => DaemonMode::Hold,
+                Mode::Drive => DaemonMode::Guided,
+                Mode::Stop => DaemonMode::Stop,
+            };
+            self.frames.push_back(self.encoder.encode_heartbeat(uptime_ms, mode));
+        }
+    }
+
+    fn send_tail(&mut self) {
+        let Some((odometry, pose)) = self.localizer.newest() else { return };
+        let plan = self.committed.current();
+        let tail = braking_tail(
+            plan.number as u16,
+            &plan.trajectory,
+            &odometry,
+            pose,
+            &self.params.vehicle,
+            &self.params.control,
+        );
+        // A tail that the guard cannot place proves nothing to it; its older one stays.
+        let _ = self.guard.handle_tail(&tail);
+        self.tail_frames.clear();
+        match self.encoder.encode_tail(&tail, &mut self.tail_frames) {
+            Ok(()) => self.frames.extend(self.tail_frames.drain(..)),
+            Err(_) => self.statistics.tails_unsendable += 1,
+        }
+    }
+
+    fn check_arrival(&mut self, now: Instant) {
+        let Some(goal) = self.goal else { return };
+        let Some(pose) = self.localizer.pose_at(now) else { return };
+        let finished = self.committed.is_finished(now);
+        if finished && (pose.position - goal.position).norm() <= goal.radius_m {
+            self.goal = None;
+            self.events.push_back(Event::GoalReached { at: now, position: pose.position });
+            self.stand_here(now);
+            self.transition(now, Mode::Standby);
+        }
+    }
+
+    fn check_health(&mut self, now: Instant) {
+        let age = |at: Option<Instant>| at.map_or(f64::INFINITY, |at| now.seconds_after(at));
+        let driving = matches!(self.mode, Mode::Drive | Mode::Hold | Mode::Stop);
+        while self.inputs.corrupt_at.front().is_some_and(|at| now.seconds_after(*at) > 1.0) {
+            self.inputs.corrupt_at.pop_front();
+        }
+        let corrupt = self.inputs.corrupt_at.len() as u32;
+        let late_plan = self.mode == Mode::Drive && age(Some(self.last_adopted)) > PLAN_TIMEOUT_S;
+        let by_itself = [
+            (Fault::ScanLate, driving && age(self.inputs.scan_received) > SCAN_TIMEOUT_S),
+            (
+                Fault::OdometryLate,
+                driving && age(self.inputs.odometry_received) > ODOMETRY_TIMEOUT_S,
+            ),
+            (
+                Fault::StatusLost,
+                driving && age(self.inputs.status.map(|(at, _)| at)) > STATUS_TIMEOUT_S,
+            ),
+            (Fault::CorruptFrames, corrupt >= CORRUPT_FRAMES_PER_S),
+            (Fault::PlannerLate, late_plan),
+        ];
+        for (fault, active) in by_itself {
+            if active {
+                self.raise(now, fault);
+            } else {
+                self.clear(now, fault);
+            }
+        }
+        let error = &self.last_error;
+        if self.mode == Mode::Drive
+            && error.lateral_m.abs() > self.params.autopilot.tracking_error_max_m
+        {
+            self.raise(now, Fault::TrackingError);
+        }
+    }
+
+    /// Why the car cannot be armed.
+    fn check_ready(&self, now: Instant) -> Result<(), Refusal> {
+        let fresh = |at: Option<Instant>, limit_s: f64| {
+            at.is_some_and(|at| now.seconds_after(at) <= limit_s)
+        };
+        if !fresh(self.inputs.odometry_received, ODOMETRY_TIMEOUT_S) {
+            return Err(Refusal::NoOdometry);
+        }
+        if !fresh(self.inputs.scan_received, SCAN_TIMEOUT_S) {
+            return Err(Refusal::NoScan);
+        }
+        let Some((at, status)) = self.inputs.status else { return Err(Refusal::NoStatus) };
+        if !fresh(Some(at), STATUS_TIMEOUT_S) {
+            return Err(Refusal::NoStatus);
+        }
+        if status.emergency_stop {
+            return Err(Refusal::EmergencyStop);
+        }
+        if self.localizer.speed_at(now).abs() > REST_SPEED_MPS {
+            return Err(Refusal::Moving);
+        }
+        Ok(())
+    }
+}

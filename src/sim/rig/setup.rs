@@ -1,0 +1,228 @@
+//! What a simulated drive needs, checked and put together.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::car_end::{CarEnd, CarEndParts};
+use super::{DIGEST, Rig};
+use crate::autopilot::{Autopilot, CoreParams};
+use crate::frames::{Point, Pose};
+use crate::map::{Cell, CellIndex, CellRect, Grid};
+use crate::plan::{Planner, PlannerParams, Planning, Policy, Stopwatch};
+use crate::predict::{self, PredictError, PredictParams, PredictorKind};
+use crate::sim::account::Account;
+use crate::sim::bus::BusParams;
+use crate::sim::car::{Car, CarParams};
+use crate::sim::controller::{Controller, ControllerParams};
+use crate::sim::drive::Trace;
+use crate::sim::faults::{FaultPlan, FaultyBus};
+use crate::sim::judge::Judge;
+use crate::sim::lidar::{Lidar, LidarParams};
+use crate::sim::world::World;
+use crate::time::Instant;
+use crate::wire::can::{CarDecoder, CarEncoder, Layout};
+
+/// Time from a planning request to its answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Latency {
+    /// As long as the step took on the wall clock.
+    Measured,
+    /// So many seconds.
+    Fixed(f64),
+}
+
+/// Everything a simulated drive needs.
+pub struct RigSetup {
+    /// The true world.
+    pub world: World,
+    /// Where the car stands at first, map frame.
+    pub start: Pose,
+    /// Where it is to go, map frame; without one it waits.
+    pub goal: Option<Point>,
+    /// The core's parameters.
+    pub core: CoreParams,
+    /// The planner's parameters.
+    pub planner: PlannerParams,
+    /// The predictor's parameters.
+    pub predict: PredictParams,
+    /// The bus.
+    pub bus: BusParams,
+    /// The lidar.
+    pub lidar: LidarParams,
+    /// The car's body.
+    pub car: CarParams,
+    /// The car's controller.
+    pub controller: ControllerParams,
+    /// Layout of the frames.
+    pub layout: Layout,
+    /// What goes wrong on the bus.
+    pub faults: FaultPlan,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Time from a planning request to its answer.
+    pub latency: Latency,
+    /// Simulated seconds after which the drive is given up; ten times a lower bound of the driving
+    /// time if not given.
+    pub time_limit_s: Option<f64>,
+    /// Wall clock for the statistics.
+    pub stopwatch: Stopwatch,
+    /// Another planner than the product's (tests replace it by wrong ones).
+    pub planning: Option<Box<dyn Planning>>,
+}
+
+/// Why a drive cannot begin.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SetupError {
+    /// The car does not fit where it is to start.
+    #[error(
+        "the start ({x_m:.2}, {y_m:.2}) m is {distance_m:.2} m from the nearest wall, a car of radius {radius_m} m does not fit"
+    )]
+    StartBlocked {
+        /// Metres.
+        x_m: f64,
+        /// Metres.
+        y_m: f64,
+        /// Distance to the nearest wall, metres.
+        distance_m: f64,
+        /// The car's radius, metres.
+        radius_m: f64,
+    },
+    /// The goal is inside a wall, or outside the map.
+    #[error("the goal ({x_m:.2}, {y_m:.2}) m is inside a wall or outside the map")]
+    GoalBlocked {
+        /// Metres.
+        x_m: f64,
+        /// Metres.
+        y_m: f64,
+    },
+    /// The predictor cannot be made.
+    #[error(transparent)]
+    Predictor(#[from] PredictError),
+}
+
+/// Slowest drive that a time limit without a known length assumes, seconds.
+const TIME_LIMIT_WITHOUT_WAY_S: f64 = 600.0;
+
+impl RigSetup {
+    pub(super) fn build(mut self) -> Result<Rig, SetupError> {
+        let radius_m = self.core.vehicle.radius_m;
+        let distance_m = self.world.distance_m(self.start.position, 2.0 * radius_m);
+        let Point { coords: at } = self.start.position;
+        if distance_m < radius_m {
+            return Err(SetupError::StartBlocked { x_m: at.x, y_m: at.y, distance_m, radius_m });
+        }
+        if let Some(goal) = self.goal.filter(|goal| self.world.is_solid(*goal)) {
+            return Err(SetupError::GoalBlocked { x_m: goal.x, y_m: goal.y });
+        }
+        if let Latency::Fixed(seconds) = self.latency {
+            self.core.autopilot.plan_budget_s = seconds.max(1e-3);
+        }
+        let time_limit_s = self.time_limit_s.unwrap_or_else(|| self.default_time_limit_s());
+
+        let resolution_m = self.core.map.resolution_m;
+        let needs_truth = self.planner.plan.policy == Policy::KnownMap
+            || matches!(self.predict.kind, PredictorKind::Oracle | PredictorKind::Inverted);
+        let truth = needs_truth.then(|| Arc::new(grid_of(&self.world, resolution_m)));
+        let mut core = Autopilot::new(self.core.clone(), self.layout, self.start, Instant::ZERO);
+        let mut account =
+            Account::new(&self.world, self.start.position, radius_m + self.core.certify.margin_m);
+        if let Some(truth) = truth.as_ref().filter(|_| self.planner.plan.policy == Policy::KnownMap)
+        {
+            core.preload_map(Grid::clone(truth));
+            account.show_all(&self.world);
+        }
+        let planner: Box<dyn Planning> = match self.planning {
+            Some(planning) => planning,
+            None => {
+                let predictor = predict::build(&self.predict, truth, self.seed)?;
+                Box::new(Planner::new(self.planner, predictor, self.stopwatch))
+            }
+        };
+        let mut bus = FaultyBus::new(&self.bus, self.faults);
+        let daemon_node = bus.join();
+        let car_node = bus.join();
+        let vehicle = &self.core.vehicle;
+        let car = CarEnd::new(CarEndParts {
+            node: car_node,
+            car: Car::new(vehicle, &self.car, self.start),
+            controller: Controller::new(vehicle, &self.controller),
+            lidar: Lidar::new(&self.lidar, self.seed),
+            encoder: CarEncoder::new(self.layout, 0),
+            decoder: CarDecoder::new(self.layout),
+            wheelbase_m: vehicle.wheelbase_m,
+            track_m: vehicle.track_m,
+            scan_rate_hz: self.lidar.rate_hz,
+            odometry_rate_hz: self.car.odometry_rate_hz,
+        });
+        Ok(Rig {
+            judge: Judge::new(radius_m),
+            account,
+            bus,
+            daemon_node,
+            planner,
+            car,
+            goal: self.goal,
+            goal_radius_m: self.core.autopilot.goal_radius_m,
+            latency: self.latency,
+            time_limit_s,
+            now: Instant::ZERO,
+            steps: 0,
+            job: None,
+            started: None,
+            moved_m: 0.0,
+            last_useful: Instant::ZERO,
+            outcome: None,
+            scans_seen: 0,
+            events: VecDeque::new(),
+            plan_ms: Vec::new(),
+            predict_ms: Vec::new(),
+            reports: None,
+            trace: Trace::default(),
+            digest: DIGEST.digest(),
+            core,
+            world: self.world,
+        })
+    }
+
+    /// Ten times the way's length at full speed and the time to get going and to stop.
+    fn default_time_limit_s(&self) -> f64 {
+        let vehicle = &self.core.vehicle;
+        let speed = self.planner.speed.speed_max_mps;
+        self.goal
+            .and_then(|goal| self.world.path_length_m(self.start.position, goal, vehicle.radius_m))
+            .map_or(TIME_LIMIT_WITHOUT_WAY_S, |length_m| {
+                10.0 * (length_m / speed + speed / vehicle.acceleration_limit_mps2() + 1.0)
+            })
+    }
+}
+
+/// The true world on a grid of the map frame: a cell is occupied if any part of it is solid, as far
+/// as samples at half the world's resolution show it.
+pub fn grid_of(world: &World, resolution_m: f64) -> Grid {
+    let mut grid = Grid::new(resolution_m);
+    let (width, height) = (world.width() as i64, world.height() as i64);
+    let corners = [(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)];
+    let cells = corners.map(|(x, y)| grid.cell_at(world.cell_centre(x, y)));
+    let rect = cells
+        .iter()
+        .fold(CellRect::EMPTY, |rect, c| {
+            rect.union(&CellRect { x0: c.ix, y0: c.iy, x1: c.ix + 1, y1: c.iy + 1 })
+        })
+        .grown(2);
+    grid.grow_to(rect);
+    let parts = (2.0 * resolution_m / world.resolution_m()).ceil().max(1.0) as i32;
+    for iy in rect.y0..rect.y1 {
+        for ix in rect.x0..rect.x1 {
+            let solid = (0..parts * parts).any(|k| {
+                let part = |i: i32| (f64::from(i) + 0.5) / f64::from(parts);
+                world.is_solid(Point::new(
+                    (f64::from(ix) + part(k % parts)) * resolution_m,
+                    (f64::from(iy) + part(k / parts)) * resolution_m,
+                ))
+            });
+            let cell = if solid { Cell::Occupied } else { Cell::Free };
+            grid.set(CellIndex::new(ix, iy), cell);
+        }
+    }
+    grid
+}
