@@ -518,6 +518,34 @@ mod tests {
     }
 
     #[test]
+    fn behind_an_edge_the_gap_between_its_two_beams_is_not_proven() {
+        let mut fan = Fan::default();
+        // The beam at 0 is the last one on an edge 2 m away.
+        let range = |angle: f64| if angle < 0.001 { 2.0 } else { 7.5 };
+        fan.set(&Pose::new(0.0, 0.0, 0.0), &scan(1000, -2.91, 0.00582, range), &limits());
+        // At 3 m the next beam passes 0.0175 m above.
+        for (lowest, free) in [(-0.01, false), (0.01, false), (0.019, true)] {
+            let (low, high) = square(3.0, lowest + 0.04);
+            assert_eq!(fan.covers(low, high), free, "{lowest}");
+        }
+    }
+
+    #[test]
+    fn where_the_surface_is_not_straight_half_a_beam_spacing_is_kept_off() {
+        let mut fan = Fan::default();
+        let mut scan = scan(1080, 0.0, TAU / 1080.0, |_| 3.0);
+        for range in scan.ranges_m.iter_mut().step_by(2) {
+            *range = 3.05;
+        }
+        fan.set(&Pose::new(0.0, 0.0, 0.0), &scan, &limits());
+        // 3 m less half of 0.0175 m is 2.991 m.
+        for (far, free) in [(2.985, true), (2.995, false)] {
+            let (low, high) = square(far - 0.04, 0.0);
+            assert_eq!(fan.covers(low, high), free, "{far}");
+        }
+    }
+
+    #[test]
     fn a_silent_beam_breaks_the_fan_where_it_points() {
         let mut fan = Fan::default();
         let mut scan = scan(1080, 0.0, TAU / 1080.0, |_| 3.0);
