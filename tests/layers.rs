@@ -17,7 +17,8 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("map", &["mapfile"]),
     ("localize", &["map"]),
     ("predict", &["map"]),
-    ("plan", &["map", "predict::OccupancyView"]),
+    // The planner knows that there is a predictor, never which.
+    ("plan", &["map", "predict::OccupancyView", "predict::Predictor", "predict::Scene"]),
     // The proof of a plan never sees a prediction.
     ("plan::certify", &["map"]),
     ("control", &["plan::Path", "plan::PathPoint", "plan::Trajectory", "plan::TrajectoryPoint"]),

@@ -25,7 +25,7 @@ use super::speed::{End, SpeedLimits, SpeedParams, SpeedProfiler, SpeedTask};
 use super::{Path, PathPoint, Trajectory};
 use crate::frames::{Point, Pose};
 use crate::map::{Blocking, Clearance, DistanceField, FrontierFinder};
-use crate::predict::{NoPrediction, OccupancyView, Predictor, Scene};
+use crate::predict::{OccupancyView, Predictor, Scene};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
 use crate::{choices, tunables};
@@ -296,7 +296,7 @@ impl Planner {
         let (found, predict) = if self.params.plan.policy == Policy::Frontier {
             query.through_unknown = false;
             let tight = Terrain { lethal: &self.tight, ..terrain };
-            let found = self.guide.find(&tight, &query, &mut NoPrediction, params);
+            let found = self.guide.find(&tight, &query, &mut *self.predictor, params);
             let found = match found {
                 Err(SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }) => {
                     self.frontier_guide(request, &mut query)
@@ -346,7 +346,7 @@ impl Planner {
             query.goal = grid.centre(frontier.representative);
             // The disc cannot stand on the frontier itself.
             query.goal_radius_m = self.keep_m() + 2.0 * grid.resolution_m();
-            let found = self.guide.find(&terrain, query, &mut NoPrediction, &self.params.search);
+            let found = self.guide.find(&terrain, query, &mut *self.predictor, &self.params.search);
             match found {
                 Ok(guide) if guide.length_m > SHORTEST_PLAN_M => return Ok(guide),
                 Ok(_) => {}
