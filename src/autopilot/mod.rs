@@ -27,7 +27,7 @@ use crate::localize::{ClockMap, Localizer};
 use crate::map::{CellRect, Grid, MapParams, Mapper};
 use crate::plan::certify::{CertifyParams, recertify};
 use crate::plan::speed::{SpeedLimits, SpeedParams};
-use crate::plan::{Goal, Plan, PlanRequest, StepReport, Verdict, shorten};
+use crate::plan::{Goal, Path, Plan, PlanRequest, StepReport, Verdict, shorten};
 use crate::scan::Scan;
 use crate::time::Instant;
 use crate::tunables;
@@ -504,7 +504,12 @@ impl Autopilot {
                 let number = self.take_number();
                 let scan_stamp = self.committed.current().scan_stamp;
                 self.events.push_back(Event::PlanShortened { at: now, number });
-                self.committed.replace(Plan { number, scan_stamp, trajectory, beyond: Vec::new() });
+                self.committed.replace(Plan {
+                    number,
+                    scan_stamp,
+                    trajectory,
+                    beyond: Path::default(),
+                });
                 self.next_tail = now;
             }
             None => self.raise(now, Fault::PathBlocked),
