@@ -304,6 +304,7 @@ impl Autopilot {
                     self.statistics.plans_stale += 1;
                 }
             }
+            Verdict::Keep => self.last_adopted = now,
             Verdict::Rejected(rejection) => {
                 self.statistics.plans_rejected += 1;
                 self.events.push_back(Event::PlanRejected { number: report.number, rejection });

@@ -86,6 +86,11 @@ const FIELD_CAP_M: f64 = 1.5;
 const TURN_SPEED_SHARE: f64 = 0.9;
 /// Samples of a path are no closer than this, metres.
 const SHORTEST_EDGE_M: f64 = 1e-3;
+/// A new path changes over from the committed one to the guide within this, metres and seconds.
+const BLEND_LEAST_M: f64 = 1.5;
+const BLEND_S: f64 = 0.8;
+/// Walls thinner than this may be looked through when ways are compared, metres.
+const SIGHT_M: f64 = 0.05;
 /// An old path shorter than this says nothing about the way, metres.
 const OLD_WAY_LEAST_M: f64 = 0.3;
 /// Shapes keep this much more clearance than the certificate asks for: it measures chords and their
@@ -214,6 +219,9 @@ impl Planner {
 
         let branches = self.branches(request);
         let here = branches[0];
+        if self.nearly_there(request, &here) {
+            return Verdict::Keep;
+        }
         *candidates += 1;
         let guide = match self.guide(request, &here, times) {
             Ok(guide) => guide,
@@ -222,7 +230,8 @@ impl Planner {
         };
         let old = self.old_way(request, &guide);
         let mut rejection = Rejection::NothingToGain;
-        if !leaves_heading(here.pose(), &guide, self.params.manoeuvre.skip_turn_rad) {
+        let goes_on = old.as_ref().is_some_and(|old| old.follows.is_some());
+        if goes_on || !leaves_heading(here.pose(), &guide, self.params.manoeuvre.skip_turn_rad) {
             let way = self.straight_on(request, &guide, old.as_ref());
             match self.shaped(request, &here, way, times) {
                 Ok(candidate) => match self.certified(request, &candidate, times) {
@@ -238,6 +247,9 @@ impl Planner {
             if let Ok(plan) = self.certified(request, &old.candidate, times) {
                 return Verdict::Plan(Box::new(plan));
             }
+        }
+        if goes_on && here.speed_mps > 0.0 {
+            return Verdict::Rejected(rejection);
         }
         // It leads elsewhere: turn off at once, at turning speed, or where the old plan stops,
         // whichever is fastest.
@@ -407,6 +419,14 @@ impl Planner {
         Err(last)
     }
 
+    /// Whether the committed plan ends in the goal disc soon: nothing is left to gain then.
+    fn nearly_there(&self, request: &PlanRequest, here: &Branch) -> bool {
+        const SOON_M: f64 = 3.0;
+        let stop = request.committed.trajectory.last().path;
+        let inside = (stop.position - request.goal.position).norm() <= request.goal.radius_m;
+        inside && stop.s_m - here.s_m < SOON_M
+    }
+
     /// The committed path carried on into its imagined part, from the take-over on, and whether
     /// the guide still goes the same way.
     fn old_way(&self, request: &PlanRequest, guide: &Guide) -> Option<OldWay> {
@@ -427,7 +447,9 @@ impl Planner {
         if path.points.len() < 2 || length_m < OLD_WAY_LEAST_M {
             return None;
         }
-        let (agrees, follows) = same_way(&path, &guide.points);
+        let blend_m = BLEND_LEAST_M + BLEND_S * plan.trajectory.at(request.takes_over).speed_mps;
+        let sees = |a, b| clearance.segment(a, b, SIGHT_M) > 0.0;
+        let follows = same_way(&path, &guide.points, blend_m, sees);
         let reaches_goal = blocked.is_none()
             && path.points.last().is_some_and(|p| {
                 (p.position - request.goal.position).norm() <= request.goal.radius_m
@@ -435,7 +457,8 @@ impl Planner {
         let leads_on = length_m > stop.s_m - start.s_m + SHORTEST_PLAN_M;
         let rest_m = (guide.length_m - length_m).max(0.0);
         let candidate = Candidate { path, reaches_goal, rest_m };
-        Some(OldWay { candidate, agrees: agrees && (leads_on || reaches_goal), follows })
+        let agrees = follows.is_some() && (leads_on || reaches_goal);
+        Some(OldWay { candidate, agrees, follows })
     }
 
     /// The way for a car that is headed along the guide: the old path where that is still right
@@ -443,11 +466,10 @@ impl Planner {
     fn straight_on(&self, request: &PlanRequest, guide: &Guide, old: Option<&OldWay>) -> Way {
         let reaches_goal = self.reaches_goal(request, guide);
         match old {
-            Some(OldWay { candidate, follows: Some(next), .. }) => {
-                let mut points: Vec<Point> =
-                    candidate.path.points.iter().step_by(2).map(|p| p.position).collect();
-                points.extend_from_slice(&guide.points[*next..]);
-                Way { points, warm: true, manoeuvre: None, reaches_goal }
+            Some(OldWay { follows: Some(fork), .. }) => {
+                let mut points = fork.blend.clone();
+                points.extend_from_slice(&guide.points[fork.guide + 1..]);
+                Way { points, warm: false, manoeuvre: None, reaches_goal }
             }
             _ => Way { points: guide.points.clone(), warm: false, manoeuvre: None, reaches_goal },
         }
@@ -691,8 +713,17 @@ struct OldWay {
     /// The guide goes the same way at first, and there is more of the old path than its
     /// executable part.
     agrees: bool,
-    /// If the guide goes the same way all along the old path: its first point beyond.
-    follows: Option<usize>,
+    /// How far the guide goes the same way, if it does so for more than the first metres.
+    follows: Option<Fork>,
+}
+
+/// Where a guide leaves a path.
+#[derive(Clone, Debug, PartialEq)]
+struct Fork {
+    /// The last point of the guide that is near the path.
+    guide: usize,
+    /// A line that leads from the path over to the guide up to there.
+    blend: Vec<Point>,
 }
 
 struct ClearRoom<'a> {
@@ -718,36 +749,47 @@ fn leaves_heading(pose: Pose, guide: &Guide, skip_turn_rad: f64) -> bool {
     })
 }
 
-/// Compares the guide with a path from the same start: whether it stays near the path for the first
-/// metres, and, if it does so up to the path's end, the guide's first point beyond that.
-fn same_way(path: &Path, guide: &[Point]) -> (bool, Option<usize>) {
-    /// Guides are polylines pulled taut around corners, paths swing wide: they may be this far
-    /// apart within one hallway and still mean the same.
-    const APART_M: f64 = 0.8;
-    const AGREE_M: f64 = 3.0;
-    let mut at = 0;
-    let mut along_m = 0.0;
+/// How far a guide goes the same way as a path from the same start: within one hallway's width, and
+/// nothing in between (`sees`). `None` if they part within the first metres. The blend changes over
+/// from the path to the guide within `blend_m`.
+fn same_way(
+    path: &Path,
+    guide: &[Point],
+    blend_m: f64,
+    sees: impl Fn(Point, Point) -> bool,
+) -> Option<Fork> {
+    /// Guides are polylines pulled taut around corners, paths swing wide.
+    const APART_M: f64 = 1.2;
+    const AGREE_M: f64 = 2.0;
+    const LOOK_EVERY_M: f64 = 0.25;
     let points = &path.points;
-    for (i, p) in guide.iter().enumerate() {
-        if i > 0 {
-            along_m += (p - guide[i - 1]).norm();
+    let mut at = 0;
+    let (mut along_m, mut looked_m) = (0.0, 0.0);
+    let mut fork = Fork { guide: 0, blend: vec![points[0].position] };
+    for (i, p) in guide.iter().enumerate().skip(1) {
+        along_m += (p - guide[i - 1]).norm();
+        if along_m < looked_m + LOOK_EVERY_M && i + 1 < guide.len() {
+            continue;
         }
+        looked_m = along_m;
         let distance = |k: usize| (points[k].position - p).norm_squared();
-        // The nearest point of the path, never going back.
-        while at + 1 < points.len() && distance(at + 1) <= distance(at) {
-            at += 1;
-        }
-        // Past a local minimum there may be a nearer point on the next metre.
-        let window = at..points.len().min(at + 20);
+        // The nearest point of the path, never going back, looking a metre or two ahead.
+        let window = at..points.len().min(at + 40);
         at = window.min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap_or(at);
-        if at + 1 == points.len() {
-            return (true, Some(i));
+        if distance(at) > APART_M * APART_M || !sees(points[at].position, *p) {
+            return (along_m > AGREE_M).then_some(fork);
         }
-        if distance(at) > APART_M * APART_M {
-            return (along_m > AGREE_M, None);
+        fork.guide = i;
+        let share = (along_m / blend_m).min(1.0);
+        let blended = points[at].position + (p - points[at].position) * share;
+        if fork.blend.last().is_none_or(|last| (blended - last).norm() > 0.1) {
+            fork.blend.push(blended);
+        }
+        if at + 1 == points.len() || share >= 1.0 {
+            break;
         }
     }
-    (true, Some(guide.len()))
+    Some(fork)
 }
 
 /// The part of a path from a point on it on, arc length from zero; `None` if nothing is left.

@@ -82,6 +82,8 @@ pub enum Rejection {
 pub enum Verdict {
     /// A certified plan.
     Plan(Box<Plan>),
+    /// The committed plan already ends at the goal.
+    Keep,
     /// No plan this time; the committed one stays.
     Rejected(Rejection),
     /// Occupied space encloses the car or the goal: there is no way, whatever the unknown holds.
