@@ -589,3 +589,62 @@ impl BandedSolver {
 const STEP_SHARE: f64 = 0.99;
 /// How close to the boundary of its cone (at 1) a slack may start.
 const START_DEPTH: f64 = 0.7;
+
+#[cfg(test)]
+mod tests {
+    use super::super::program::samples::random_program;
+    use super::super::reference;
+    use super::*;
+
+    #[test]
+    fn it_agrees_with_clarabel_on_random_programs() {
+        let mut solver = BandedSolver::default();
+        let (mut solved, mut infeasible) = (0, 0);
+        for seed in 0..150 {
+            let (program, guess) = random_program(seed);
+            let (mut own, mut theirs) = (guess.clone(), guess.clone());
+            let verdict = reference::solve(&program, &mut theirs);
+            match solver.solve(&program, &Tolerances::TIGHT, &mut own) {
+                Ok(_) => {
+                    solved += 1;
+                    verdict.unwrap_or_else(|e| panic!("seed {seed}: Clarabel says {e}"));
+                    assert!(program.violation(&own) < 1e-7, "seed {seed}");
+                    let (a, b) = (program.cost(&own), program.cost(&theirs));
+                    assert!((a - b).abs() <= 1e-6 * b.max(1e-3), "seed {seed}: {a} {b}");
+                }
+                Err(error) => {
+                    assert_eq!(error, SolveError::Infeasible, "seed {seed}");
+                    assert!(matches!(verdict, Err(SolveError::Infeasible)), "seed {seed}: {verdict:?}");
+                    assert_eq!(own, guess, "a failure leaves the guess alone");
+                    infeasible += 1;
+                }
+            }
+        }
+        assert!(solved >= 40 && infeasible >= 20, "{solved} solved, {infeasible} infeasible");
+    }
+
+    #[test]
+    fn the_working_tolerances_are_good_for_a_fraction_of_a_thousandth() {
+        let mut solver = BandedSolver::default();
+        let mut solved = 0;
+        for seed in 0..150 {
+            let (program, guess) = random_program(seed);
+            let (mut rough, mut fine) = (guess.clone(), guess);
+            let Ok(fewer) = solver.solve(&program, &Tolerances::SHAPE, &mut rough) else { continue };
+            let more = solver.solve(&program, &Tolerances::TIGHT, &mut fine).unwrap();
+            assert!(fewer <= more);
+            assert!(program.violation(&rough) < 1e-6);
+            assert!(program.cost(&rough) <= program.cost(&fine) * (1.0 + 5e-4) + 1e-3);
+            solved += 1;
+        }
+        assert!(solved >= 40);
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_reported() {
+        let (mut program, mut guess) = random_program(2);
+        program.discs[1].radius_m = f64::NAN;
+        let result = BandedSolver::default().solve(&program, &Tolerances::SHAPE, &mut guess);
+        assert!(matches!(result, Err(SolveError::Numerical(_))), "{result:?}");
+    }
+}
