@@ -83,7 +83,8 @@ struct Task<'a, F> {
     field: &'a F,
     request: &'a SmoothRequest<'a>,
     params: &'a SmoothParams,
-    /// Clearance that the start lacks.
+    /// Clearance that the start has, and what it lacks.
+    start_clearance_m: f64,
     deficit_m: f64,
     /// Fixed end, or centre of the disc that it may lie in.
     end: Point,
@@ -97,16 +98,19 @@ struct Task<'a, F> {
 impl<F: ClearanceField> Task<'_, F> {
     /// Clearance that the finished path must have at arc length `s_m`.
     fn must_keep_m(&self, s_m: f64, strictness: Strictness) -> f64 {
-        let ramp = (s_m / RAMP_M).min(1.0);
         let margin = if strictness == Strictness::Bare { 0.0 } else { self.params.margin_m };
-        self.request.radius_m - self.deficit_m * (1.0 - ramp) + margin * ramp
+        let left = 1.0 - (s_m / RAMP_M).min(1.0).powi(2);
+        self.request.radius_m + margin - (self.deficit_m + margin) * left
     }
 
     /// Clearance that bubbles keep at `s_m` for control points `d_m` apart: on the chord between
     /// two points that are both this far from a corner, the middle is `must_keep_m` from it.
+    /// Never more than what the start has and what a gentle bend away gains from there.
     fn bubble_keep_m(&self, s_m: f64, d_m: f64, strictness: Strictness) -> f64 {
         let keep = self.must_keep_m(s_m, strictness);
-        (keep * keep + 0.25 * d_m * d_m).sqrt() + CURVE_MARGIN_M
+        let chord = (keep * keep + 0.25 * d_m * d_m).sqrt() + CURVE_MARGIN_M;
+        let lack = (chord - keep - (self.start_clearance_m - self.must_keep_m(0.0, strictness))).max(0.0);
+        chord - lack * (1.0 - (s_m / RAMP_M).min(1.0).powi(2))
     }
 
     /// Curvature that the steering allows at `s_m`.
@@ -150,6 +154,7 @@ impl Smoother {
             field,
             request,
             params,
+            start_clearance_m: clearance,
             deficit_m,
             end,
             end_radius_m: if complete { request.end_radius_m.min(end_room_m) } else { 0.0 },
@@ -191,7 +196,7 @@ impl Smoother {
                     if stats.relaxed >= 2 {
                         strictness = Strictness::Bare;
                     }
-                    let relaxed = [2.0, 5.0].into_iter().find_map(|factor| {
+                    let relaxed = [1.25, 2.0, 5.0].into_iter().find_map(|factor| {
                         self.solve(&task, d_m, Strictness::Relaxed(factor), &mut stats).ok()
                     });
                     if relaxed.is_none() {
