@@ -106,10 +106,8 @@ impl Cone {
         let cross = (self.z0 + dot(self.z, self.u)) * is * iz;
         let half = 0.5 / (0.5 * (1.0 + cross)).sqrt();
         self.w0 = half * (is + self.z0 * iz);
-        self.w = [
-            half * (self.u[0] * is - self.z[0] * iz),
-            half * (self.u[1] * is - self.z[1] * iz),
-        ];
+        self.w =
+            [half * (self.u[0] * is - self.z[0] * iz), half * (self.u[1] * is - self.z[1] * iz)];
         self.inv_beta = (rz * is).sqrt();
         (self.l0, self.l) = self.unscale(1.0, self.u);
         true
@@ -207,8 +205,8 @@ impl Banded {
             d[2] += k * s[1];
             d[3] += k * s[2];
         };
-        for i in 0..3 {
-            add_sym(&mut self.d[k + i], s, c[i] * c[i]);
+        for (d, c) in self.d[k..].iter_mut().zip(c) {
+            add_sym(d, s, c * c);
         }
         add(&mut self.e[k + 1], c[0] * c[1]);
         add(&mut self.e[k + 2], c[1] * c[2]);
@@ -223,9 +221,8 @@ impl Banded {
             m[2] += w * a[1] * b[0];
             m[3] += w * a[1] * b[1];
         };
-        for i in 0..3 {
-            let a = c[i];
-            add_sym(&mut self.d[k + i], [a[0] * a[0], a[0] * a[1], a[1] * a[1]], w);
+        for (d, a) in self.d[k..].iter_mut().zip(c) {
+            add_sym(d, [a[0] * a[0], a[0] * a[1], a[1] * a[1]], w);
         }
         outer(&mut self.e[k + 1], c[1], c[0]);
         outer(&mut self.e[k + 2], c[2], c[1]);
@@ -357,10 +354,8 @@ impl BandedSolver {
             let (mut gap, mut primal, mut reach) = (0.0, 0.0_f64, 0.0);
             for cone in &mut self.cones {
                 let value = cone.linear(&self.x);
-                cone.res = [
-                    cone.u[0] - value[0] - cone.offset[0],
-                    cone.u[1] - value[1] - cone.offset[1],
-                ];
+                cone.res =
+                    [cone.u[0] - value[0] - cone.offset[0], cone.u[1] - value[1] - cone.offset[1]];
                 primal = primal.max(cone.res[0].abs()).max(cone.res[1].abs());
                 gap += cone.z0 + dot(cone.u, cone.z);
                 reach += cone.z0 + dot(cone.z, cone.offset);
@@ -432,9 +427,11 @@ impl BandedSolver {
                 let ib2 = cone.inv_beta * cone.inv_beta;
                 cone.du = [-y[0], -y[1]];
                 cone.dz0 = cone.c0 - cone.z0 - ib2 * 2.0 * cone.w0 * wy;
-                for i in 0..2 {
-                    cone.dz[i] = cone.c[i] - cone.z[i] + ib2 * (2.0 * cone.w[i] * wy + y[i]);
-                }
+                let (w, ww) = (cone.w, 2.0 * wy);
+                cone.dz = [
+                    cone.c[0] - cone.z[0] + ib2 * (ww * w[0] + y[0]),
+                    cone.c[1] - cone.z[1] + ib2 * (ww * w[1] + y[1]),
+                ];
                 reached = step_to_boundary(1.0, cone.u, 0.0, cone.du, reached);
                 reached = step_to_boundary(cone.z0, cone.z, cone.dz0, cone.dz, reached);
             }
@@ -475,9 +472,9 @@ impl BandedSolver {
             let offset = stencil.at(&self.centres);
             let (k, c, w) = (stencil.first, stencil.coef, unit * weight);
             self.hessian.add_scaled(k, c, [2.0 * w, 0.0, 2.0 * w]);
-            for i in 0..3 {
-                self.linear[k + i][0] += 2.0 * w * c[i] * offset.x;
-                self.linear[k + i][1] += 2.0 * w * c[i] * offset.y;
+            for (linear, c) in self.linear[k..].iter_mut().zip(c) {
+                linear[0] += 2.0 * w * c * offset.x;
+                linear[1] += 2.0 * w * c * offset.y;
             }
             constant += w * offset.norm_squared();
         }
@@ -485,9 +482,9 @@ impl BandedSolver {
             let (k, w, offset) = (row.first, unit * row.weight, row.at(&self.centres));
             let c = row.coef.map(|c| [c.x, c.y]);
             self.hessian.add_outer(k, c, 2.0 * w);
-            for i in 0..3 {
-                self.linear[k + i][0] += 2.0 * w * c[i][0] * offset;
-                self.linear[k + i][1] += 2.0 * w * c[i][1] * offset;
+            for (linear, c) in self.linear[k..].iter_mut().zip(c) {
+                linear[0] += 2.0 * w * c[0] * offset;
+                linear[1] += 2.0 * w * c[1] * offset;
             }
             constant += w * offset * offset;
         }
@@ -576,10 +573,7 @@ impl BandedSolver {
         for cone in &self.cones {
             let ib2 = cone.inv_beta * cone.inv_beta;
             let wr = 2.0 * dot(cone.w, cone.res);
-            let v = [
-                ib2 * (cone.w[0] * wr + cone.res[0]),
-                ib2 * (cone.w[1] * wr + cone.res[1]),
-            ];
+            let v = [ib2 * (cone.w[0] * wr + cone.res[0]), ib2 * (cone.w[1] * wr + cone.res[1])];
             cone.scatter(v, &mut self.rhs);
         }
     }
@@ -614,7 +608,10 @@ mod tests {
                 }
                 Err(error) => {
                     assert_eq!(error, SolveError::Infeasible, "seed {seed}");
-                    assert!(matches!(verdict, Err(SolveError::Infeasible)), "seed {seed}: {verdict:?}");
+                    assert!(
+                        matches!(verdict, Err(SolveError::Infeasible)),
+                        "seed {seed}: {verdict:?}"
+                    );
                     assert_eq!(own, guess, "a failure leaves the guess alone");
                     infeasible += 1;
                 }
@@ -630,7 +627,9 @@ mod tests {
         for seed in 0..150 {
             let (program, guess) = random_program(seed);
             let (mut rough, mut fine) = (guess.clone(), guess);
-            let Ok(fewer) = solver.solve(&program, &Tolerances::SHAPE, &mut rough) else { continue };
+            let Ok(fewer) = solver.solve(&program, &Tolerances::SHAPE, &mut rough) else {
+                continue;
+            };
             let more = solver.solve(&program, &Tolerances::TIGHT, &mut fine).unwrap();
             assert!(fewer <= more);
             assert!(program.violation(&rough) < 1e-6);

@@ -73,7 +73,12 @@ pub fn random_route(seed: u64, cells: usize) -> Vec<(i32, i32)> {
 }
 
 /// Shortest way on 8-connected 0.1 m cells whose centres keep `keep_m`, without cutting corners.
-pub fn guide_on_cells(field: &impl ClearanceField, from: Point, to: Point, keep_m: f64) -> Vec<Point> {
+pub fn guide_on_cells(
+    field: &impl ClearanceField,
+    from: Point,
+    to: Point,
+    keep_m: f64,
+) -> Vec<Point> {
     const CELLS: i32 = 260;
     const STEP_M: f64 = 0.1;
     let centre = |i: i32| {
@@ -100,9 +105,7 @@ pub fn guide_on_cells(field: &impl ClearanceField, from: Point, to: Point, keep_
         if cost > best[at as usize] {
             continue;
         }
-        for (dx, dy) in
-            [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)]
-        {
+        for (dx, dy) in [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)] {
             let (x, y) = (at % CELLS + dx, at / CELLS + dy);
             if !(0..CELLS).contains(&x) || !(0..CELLS).contains(&y) {
                 continue;

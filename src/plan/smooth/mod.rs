@@ -8,13 +8,13 @@
 //! start, where the car has a speed that it cannot shed at once.
 
 mod banded_socp;
+#[cfg(test)]
+mod corridors;
 mod program;
 mod reference;
 mod request;
 mod shape;
 mod spline;
-#[cfg(test)]
-mod corridors;
 #[cfg(test)]
 mod tests;
 

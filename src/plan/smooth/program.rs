@@ -118,8 +118,7 @@ impl Program {
     /// By how much given points break the worst constraint, relative to its bound; not positive
     /// when they keep them all.
     pub fn violation(&self, x: &[Point]) -> f64 {
-        let discs =
-            self.discs.iter().zip(x).map(|(d, p)| (p - d.centre).norm() / d.radius_m - 1.0);
+        let discs = self.discs.iter().zip(x).map(|(d, p)| (p - d.centre).norm() / d.radius_m - 1.0);
         let bends = self.bends.iter().map(|b| b.stencil.at(x).norm() / b.bound_m - 1.0);
         discs.chain(bends).fold(f64::NEG_INFINITY, f64::max)
     }
@@ -180,11 +179,17 @@ pub(super) mod samples {
             let mut stretch = stencil;
             let (t0, t1) = (points[k + 1] - points[k], points[k + 2] - points[k + 1]);
             let (t0, t1) = (t0.normalize(), t1.normalize());
-            let mut uneven =
-                Unevenness { first, coef: [Vector::zeros(); 3], offset_m: 0.0, weight: 30.0 * weight };
-            for (j, bend, step, row) in
-                [(k as i64 - 1, -1.0, 0.0, t0), (k as i64, 2.0, -1.0, -t0 - t1), (k as i64 + 1, -1.0, 1.0, t1)]
-            {
+            let mut uneven = Unevenness {
+                first,
+                coef: [Vector::zeros(); 3],
+                offset_m: 0.0,
+                weight: 30.0 * weight,
+            };
+            for (j, bend, step, row) in [
+                (k as i64 - 1, -1.0, 0.0, t0),
+                (k as i64, 2.0, -1.0, -t0 - t1),
+                (k as i64 + 1, -1.0, 1.0, t1),
+            ] {
                 if (0..m as i64).contains(&j) {
                     let i = j as usize - first;
                     stencil.coef[i] += bend;

@@ -6,8 +6,8 @@ use super::reference;
 use super::request::{SmoothError, SmoothParams, SmoothRequest, SmoothStats, Smoothed, Solver};
 use super::spline::Spline;
 use crate::frames::{Point, Vector, heading_vector};
-use crate::plan::bubbles::{Bubble, BubbleSizes, ClearanceField, bubble_at};
 use crate::plan::Path;
+use crate::plan::bubbles::{Bubble, BubbleSizes, ClearanceField, bubble_at};
 
 /// Samples of the finished path are at most this far apart.
 const SAMPLE_SPACING_M: f64 = 0.05;
@@ -109,7 +109,8 @@ impl<F: ClearanceField> Task<'_, F> {
     fn bubble_keep_m(&self, s_m: f64, d_m: f64, strictness: Strictness) -> f64 {
         let keep = self.must_keep_m(s_m, strictness);
         let chord = (keep * keep + 0.25 * d_m * d_m).sqrt() + CURVE_MARGIN_M;
-        let lack = (chord - keep - (self.start_clearance_m - self.must_keep_m(0.0, strictness))).max(0.0);
+        let lack =
+            (chord - keep - (self.start_clearance_m - self.must_keep_m(0.0, strictness))).max(0.0);
         chord - lack * (1.0 - (s_m / RAMP_M).min(1.0).powi(2))
     }
 
@@ -148,7 +149,8 @@ impl Smoother {
         let sizes = sizes(params);
         let last = *self.reference.last().expect("the guide has points");
         // An end at the horizon is nobody's wish: it moves to where there is room.
-        let end = if complete { last } else { bubble_at(field, last, request.radius_m, &sizes).centre };
+        let end =
+            if complete { last } else { bubble_at(field, last, request.radius_m, &sizes).centre };
         let end_room_m = (field.clearance_m(end) - request.radius_m - params.margin_m).max(0.0);
         let mut task = Task {
             field,
@@ -164,12 +166,15 @@ impl Smoother {
         let mut stats = SmoothStats::default();
         let passes = if request.warm { params.passes_warm } else { params.passes };
         let mut length_m = length_m;
+        // length of the reference before, unless that was the guide
+        let mut before_m = None;
+        let mut is_guide = true;
         let mut pass = 0;
         let mut strictness = Strictness::Margins;
         self.brake_straight(request);
         let mut d_m;
         loop {
-            d_m = self.resample(params, length_m);
+            d_m = self.resample(params, length_m) * steady(before_m, length_m);
             self.shrink_m.clear();
             self.shrink_m.resize(self.reference.len(), 0.0);
             self.blow(&task, d_m, strictness)?;
@@ -205,6 +210,7 @@ impl Smoother {
                     pass = pass.min(passes.saturating_sub(2));
                 }
             }
+            before_m = (!std::mem::replace(&mut is_guide, false)).then_some(length_m);
             length_m = self.refer_to_spline();
             self.brake_along_spline(request, task.turn_share_min);
         }
@@ -216,17 +222,22 @@ impl Smoother {
             }
             stats.repairs += 1;
             match mend {
-                Mend::Curvature(factor) => {
-                    task.curvature_share *= factor;
-                    let length_m = self.refer_to_spline();
-                    d_m = self.resample(params, length_m);
+                Mend::Curvature(_) | Mend::Friction => {
+                    if let Mend::Curvature(factor) = mend {
+                        // The first time, equal steps of the right length may be all it takes.
+                        if stats.repairs > 1 {
+                            task.curvature_share *= factor;
+                        }
+                    } else {
+                        task.turn_share_min = (task.turn_share_min - TURN_SHARE_STEP).max(0.0);
+                    }
+                    before_m = Some(length_m);
+                    length_m = self.refer_to_spline();
+                    self.brake_along_spline(request, task.turn_share_min);
+                    d_m = self.resample(params, length_m) * steady(before_m, length_m);
                     self.shrink_m.clear();
                     self.shrink_m.resize(self.reference.len(), 0.0);
                     self.blow(&task, d_m, strictness)?;
-                }
-                Mend::Friction => {
-                    task.turn_share_min = (task.turn_share_min - TURN_SHARE_STEP).max(0.0);
-                    self.brake_along_spline(request, task.turn_share_min);
                 }
                 Mend::Clearance => {
                     self.shrink_where_near(&task, strictness);
@@ -403,7 +414,11 @@ impl Smoother {
         let step = forward * d_m;
         if fixed_first.is_none() {
             let turn = stencil(&[(1, -3.0)], (start + step) * 3.0);
-            self.program.bends.push(Bend { stencil: turn, bound_m: bound(0), weight: 0.5 * weight });
+            self.program.bends.push(Bend {
+                stencil: turn,
+                bound_m: bound(0),
+                weight: 0.5 * weight,
+            });
         }
         let turn = stencil(&[(1, 2.5), (2, -1.0)], (start * 3.0 + step) * -0.5);
         self.program.bends.push(Bend { stencil: turn, bound_m: bound(1), weight });
@@ -431,8 +446,12 @@ impl Smoother {
         let along = |k: usize| (self.reference[k + 1] - self.reference[k]).normalize();
         for k in 2..n {
             let (t0, t1) = (along(k - 1), along(k));
-            let mut row =
-                Unevenness { first: (k - 1).max(low).min(high - 3) - low, coef: [Vector::zeros(); 3], offset_m: 0.0, weight };
+            let mut row = Unevenness {
+                first: (k - 1).max(low).min(high - 3) - low,
+                coef: [Vector::zeros(); 3],
+                offset_m: 0.0,
+                weight,
+            };
             for (j, c) in [(k - 1, t0), (k, -t0 - t1), (k + 1, t1)] {
                 if (low..high).contains(&j) {
                     row.coef[j - low - row.first] += c;
@@ -487,7 +506,8 @@ impl Smoother {
         self.grip_step_m = self.spline.at(0, 0.0).velocity.norm() * 0.5;
         self.curvatures_pm.clear();
         self.curvatures_pm.extend(
-            (0..2 * pieces).map(|i| self.spline.at(i / 2, 0.5 * (i % 2) as f64).curvature_pm().abs()),
+            (0..2 * pieces)
+                .map(|i| self.spline.at(i / 2, 0.5 * (i % 2) as f64).curvature_pm().abs()),
         );
         self.brake_along_curvatures(request, share_min);
     }
@@ -497,9 +517,9 @@ impl Smoother {
         self.grip_step_m = d_m;
         self.curvatures_pm.clear();
         self.curvatures_pm.push(request.start_curvature_pm.unwrap_or(0.0).abs());
-        self.curvatures_pm.extend(self.reference.windows(3).map(|w| {
-            ((w[2] - w[1]) - (w[1] - w[0])).norm() / (d_m * d_m)
-        }));
+        self.curvatures_pm.extend(
+            self.reference.windows(3).map(|w| ((w[2] - w[1]) - (w[1] - w[0])).norm() / (d_m * d_m)),
+        );
         self.brake_along_curvatures(request, share_min);
     }
 
@@ -534,12 +554,15 @@ impl Smoother {
         stats: &mut SmoothStats,
     ) -> Result<(), (SmoothError, Mend)> {
         let limit_pm = task.request.curvature_limit_pm;
-        let tightest = self.path.points.iter().max_by(|a, b| {
-            a.curvature_pm.abs().total_cmp(&b.curvature_pm.abs())
-        });
+        let tightest = self
+            .path
+            .points
+            .iter()
+            .max_by(|a, b| a.curvature_pm.abs().total_cmp(&b.curvature_pm.abs()));
         let tightest = tightest.expect("a path has samples");
         stats.curvature_max_pm = tightest.curvature_pm.abs();
-        if !(stats.curvature_max_pm <= limit_pm * (1.0 + CURVATURE_TOLERANCE)) {
+        let most = limit_pm * (1.0 + CURVATURE_TOLERANCE);
+        if stats.curvature_max_pm.is_nan() || stats.curvature_max_pm > most {
             let error = SmoothError::TooTight {
                 s_m: tightest.s_m,
                 curvature_pm: stats.curvature_max_pm,
@@ -585,11 +608,7 @@ impl Smoother {
     }
 
     /// Takes what the curve lacks in clearance off the bubbles of the control points around.
-    fn shrink_where_near<F: ClearanceField>(
-        &mut self,
-        task: &Task<'_, F>,
-        strictness: Strictness,
-    ) {
+    fn shrink_where_near<F: ClearanceField>(&mut self, task: &Task<'_, F>, strictness: Strictness) {
         let samples = self.path.points.len() - 1;
         let per_piece = samples / self.spline.pieces();
         self.lack_m.clear();
@@ -607,6 +626,13 @@ impl Smoother {
             *shrink += lack;
         }
     }
+}
+
+/// Factor on the step of the next program, from the lengths of the last two references (none for
+/// the guide's, which says nothing). Where the turning radius decides the length, a step too long
+/// makes the next result too short, and so on: the mean of the two ends that.
+fn steady(before_m: Option<f64>, length_m: f64) -> f64 {
+    before_m.map_or(1.0, |before_m| (0.5 * (1.0 + before_m / length_m)).clamp(0.95, 1.05))
 }
 
 /// What to change after a failed check.
