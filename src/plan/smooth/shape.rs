@@ -9,12 +9,16 @@ use crate::frames::{Point, Vector, heading_vector};
 use crate::plan::Path;
 use crate::plan::bubbles::{Bubble, BubbleSizes, ClearanceField, bubble_at};
 
+mod checks;
+mod grip;
+mod guide;
+
+use checks::Mend;
+use grip::{TURN_SHARE_MIN, TURN_SHARE_STEP};
+use guide::END_ROOM_M;
+
 /// Samples of the finished path are at most this far apart.
 const SAMPLE_SPACING_M: f64 = 0.05;
-/// Fewest polynomial pieces of a path.
-const PIECES_MIN: usize = 8;
-/// Shortest guide worth a path.
-const GUIDE_MIN_M: f64 = 0.05;
 /// Limits are tightened from their exact values at the start to those with margin over this
 /// length, so that the rest of a path that kept them with margin is feasible when replanned.
 const RAMP_M: f64 = 1.0;
@@ -24,9 +28,6 @@ const CURVE_MARGIN_M: f64 = 0.001;
 /// By how much a car may start too close to an obstacle (drift of the map against the plan under
 /// way); it must get clear of it within `RAMP_M`.
 const START_DEFICIT_MAX_M: f64 = 0.06;
-/// Rounding of the finished curve against its limits, metres and relative.
-const CLEARANCE_TOLERANCE_M: f64 = 1e-5;
-const CURVATURE_TOLERANCE: f64 = 1e-6;
 /// Most solves after the passes to mend a limit that the finished curve breaks.
 const REPAIRS_MAX: u32 = 5;
 /// Weight of squared differences between successive steps against squared second differences.
@@ -35,12 +36,6 @@ const REPAIRS_MAX: u32 = 5;
 /// the reference's directions there are those of a staircase of cells.
 const EVENNESS_FIRST: f64 = 100.0;
 const EVENNESS: f64 = 1000.0;
-/// While the start speed is shed, bends may use what share of the friction circle the last curve
-/// used there, but at most and at least these (the least leaves freedom on straights, at the cost
-/// of some braking; repairs lower it by the step).
-const TURN_SHARE_MAX: f64 = 0.98;
-const TURN_SHARE_MIN: f64 = 0.6;
-const TURN_SHARE_STEP: f64 = 0.12;
 
 /// Turning radius is divided by this in the first pass about a guide on cells.
 const FIRST_PASS_RELAXED: f64 = 1.5;
@@ -86,6 +81,9 @@ struct Task<'a, F> {
     /// Clearance that the start has, and what it lacks.
     start_clearance_m: f64,
     deficit_m: f64,
+    end_clearance_m: f64,
+    /// Of the present reference.
+    length_m: f64,
     /// Fixed end, or centre of the disc that it may lie in.
     end: Point,
     end_radius_m: f64,
@@ -96,22 +94,26 @@ struct Task<'a, F> {
 }
 
 impl<F: ClearanceField> Task<'_, F> {
-    /// Clearance that the finished path must have at arc length `s_m`.
+    /// Clearance that the finished path must have at arc length `s_m`: what is asked and, away
+    /// from both ends, the margin; less near a start that lacks it.
     fn must_keep_m(&self, s_m: f64, strictness: Strictness) -> f64 {
         let margin = if strictness == Strictness::Bare { 0.0 } else { self.params.margin_m };
-        let left = 1.0 - (s_m / RAMP_M).min(1.0).powi(2);
-        self.request.radius_m + margin - (self.deficit_m + margin) * left
+        let near = near_end(s_m).max(near_end(self.length_m - s_m));
+        self.request.radius_m + margin * (1.0 - near) - self.deficit_m * near_end(s_m)
     }
 
     /// Clearance that bubbles keep at `s_m` for control points `d_m` apart: on the chord between
     /// two points that are both this far from a corner, the middle is `must_keep_m` from it.
-    /// Never more than what the start has and what a gentle bend away gains from there.
+    /// Never more than what the ends have and what a gentle bend away gains from there.
     fn bubble_keep_m(&self, s_m: f64, d_m: f64, strictness: Strictness) -> f64 {
         let keep = self.must_keep_m(s_m, strictness);
-        let chord = (keep * keep + 0.25 * d_m * d_m).sqrt() + CURVE_MARGIN_M;
-        let lack =
-            (chord - keep - (self.start_clearance_m - self.must_keep_m(0.0, strictness))).max(0.0);
-        chord - lack * (1.0 - (s_m / RAMP_M).min(1.0).powi(2))
+        let extra = (keep * keep + 0.25 * d_m * d_m).sqrt() + CURVE_MARGIN_M - keep;
+        let asked = self.request.radius_m;
+        let lack_start = extra - (self.start_clearance_m - asked + self.deficit_m);
+        let lack_end = extra - (self.end_clearance_m - asked);
+        let lack = (lack_start.max(0.0) * near_end(s_m))
+            .max(lack_end.clamp(0.0, extra) * near_end(self.length_m - s_m));
+        keep + extra - lack
     }
 
     /// Curvature that the steering allows at `s_m`.
@@ -136,7 +138,7 @@ impl Smoother {
         request: &SmoothRequest<'_>,
     ) -> Result<Smoothed, SmoothError> {
         check(request)?;
-        let (length_m, complete) = self.take_guide(params, request)?;
+        let (mut length_m, complete) = self.take_guide(params, request)?;
         let clearance = field.clearance_m(request.start.position);
         let deficit_m = (request.radius_m - clearance).max(0.0);
         if deficit_m > START_DEFICIT_MAX_M {
@@ -146,11 +148,12 @@ impl Smoother {
                 keep_m: request.radius_m,
             });
         }
-        let sizes = sizes(params);
-        let last = *self.reference.last().expect("the guide has points");
-        // An end at the horizon is nobody's wish: it moves to where there is room.
-        let end =
-            if complete { last } else { bubble_at(field, last, request.radius_m, &sizes).centre };
+        if !complete {
+            // An end at the horizon is nobody's wish: it goes where there is room.
+            length_m -= self.step_back(field, request.radius_m + END_ROOM_M);
+            length_m = self.shift_end(params, field, request.radius_m, length_m);
+        }
+        let end = *self.reference.last().expect("the guide has points");
         let end_room_m = (field.clearance_m(end) - request.radius_m - params.margin_m).max(0.0);
         let mut task = Task {
             field,
@@ -158,6 +161,8 @@ impl Smoother {
             params,
             start_clearance_m: clearance,
             deficit_m,
+            end_clearance_m: field.clearance_m(end),
+            length_m,
             end,
             end_radius_m: if complete { request.end_radius_m.min(end_room_m) } else { 0.0 },
             curvature_share: 1.0,
@@ -165,7 +170,6 @@ impl Smoother {
         };
         let mut stats = SmoothStats::default();
         let passes = if request.warm { params.passes_warm } else { params.passes };
-        let mut length_m = length_m;
         // length of the reference before, unless that was the guide
         let mut before_m = None;
         let mut is_guide = true;
@@ -174,6 +178,7 @@ impl Smoother {
         self.brake_straight(request);
         let mut d_m;
         loop {
+            task.length_m = length_m;
             d_m = self.resample(params, length_m) * steady(before_m, length_m);
             self.shrink_m.clear();
             self.shrink_m.resize(self.reference.len(), 0.0);
@@ -234,6 +239,7 @@ impl Smoother {
                     before_m = Some(length_m);
                     length_m = self.refer_to_spline();
                     self.brake_along_spline(request, task.turn_share_min);
+                    task.length_m = length_m;
                     d_m = self.resample(params, length_m) * steady(before_m, length_m);
                     self.shrink_m.clear();
                     self.shrink_m.resize(self.reference.len(), 0.0);
@@ -248,89 +254,6 @@ impl Smoother {
         }
         stats.points = self.controls.len();
         Ok(Smoothed { path: self.path.clone(), complete, stats })
-    }
-
-    /// The guide from the start to the horizon as the first reference; its length and whether that
-    /// is all of it.
-    fn take_guide(
-        &mut self,
-        params: &SmoothParams,
-        request: &SmoothRequest<'_>,
-    ) -> Result<(f64, bool), SmoothError> {
-        self.reference.clear();
-        self.reference.push(request.start.position);
-        let (mut length_m, mut complete) = (0.0, true);
-        let mut last = request.start.position;
-        for &p in request.guide {
-            let step = (p - last).norm();
-            if !step.is_finite() {
-                return Err(SmoothError::BadRequest {
-                    what: "a guide coordinate",
-                    value: step,
-                    allowed: "finite",
-                });
-            }
-            if step < 1e-9 {
-                continue;
-            }
-            let room = params.horizon_m - length_m;
-            if step > room {
-                self.reference.push(last + (p - last) * (room / step));
-                length_m = params.horizon_m;
-                complete = false;
-                break;
-            }
-            self.reference.push(p);
-            length_m += step;
-            last = p;
-        }
-        if length_m < GUIDE_MIN_M {
-            return Err(SmoothError::GuideTooShort { length_m, least_m: GUIDE_MIN_M });
-        }
-        Ok((length_m, complete))
-    }
-
-    /// Replaces the reference polyline by points at equal steps along it; returns the step.
-    fn resample(&mut self, params: &SmoothParams, length_m: f64) -> f64 {
-        let pieces = ((length_m / params.spacing_m).ceil() as usize).max(PIECES_MIN);
-        let d_m = length_m / pieces as f64;
-        let polyline = std::mem::take(&mut self.reference);
-        let out = &mut self.controls;
-        out.clear();
-        out.push(polyline[0]);
-        let (mut before, mut i) = (0.0, 1);
-        for k in 1..pieces {
-            let s = k as f64 * d_m;
-            loop {
-                let (a, b) = (polyline[i - 1], polyline[i]);
-                let step = (b - a).norm();
-                if before + step >= s || i + 1 == polyline.len() {
-                    out.push(a + (b - a) * ((s - before) / step.max(1e-12)).min(1.0));
-                    break;
-                }
-                before += step;
-                i += 1;
-            }
-        }
-        out.push(polyline[polyline.len() - 1]);
-        self.reference = std::mem::replace(&mut self.controls, polyline);
-        d_m
-    }
-
-    /// Makes the present curve the reference polyline; returns its length.
-    fn refer_to_spline(&mut self) -> f64 {
-        self.reference.clear();
-        let mut length_m = 0.0;
-        for k in 0..self.spline.pieces() {
-            for t in [0.0, 0.5] {
-                self.reference.push(self.spline.at(k, t).position);
-            }
-        }
-        self.reference.push(self.spline.at(self.spline.pieces() - 1, 1.0).position);
-        for w in self.reference.windows(2) {
-            length_m += (w[1] - w[0]).norm();
-        }
-        length_m
     }
 
     /// Bubbles about the reference points, index 0 unused.
@@ -482,150 +405,6 @@ impl Smoother {
         self.spline.set(&request.start, d_m, &self.controls);
         Ok(())
     }
-
-    /// Bends that even full braking on a straight does not bring into the friction circle are
-    /// hopeless: the bound before there is a curve.
-    fn brake_straight(&mut self, request: &SmoothRequest<'_>) {
-        self.grip_bound_pm.clear();
-        self.grip_step_m = 0.05;
-        let grip = request.acceleration_limit_mps2;
-        let mut left = request.start_speed_mps.powi(2);
-        while left > 0.0 {
-            self.grip_bound_pm.push(TURN_SHARE_MAX * grip / left);
-            left -= 2.0 * grip * self.grip_step_m;
-        }
-        self.hold_first(request);
-    }
-
-    /// The bound from the present curve: bends may use the share of the friction circle that they
-    /// use there, and the rest brakes. Whatever keeps this bound can be driven from the start
-    /// speed: with the turning share c, squared speed e and bound c A / e, a flatter curve only
-    /// brakes more.
-    fn brake_along_spline(&mut self, request: &SmoothRequest<'_>, share_min: f64) {
-        let pieces = self.spline.pieces();
-        self.grip_step_m = self.spline.at(0, 0.0).velocity.norm() * 0.5;
-        self.curvatures_pm.clear();
-        self.curvatures_pm.extend(
-            (0..2 * pieces)
-                .map(|i| self.spline.at(i / 2, 0.5 * (i % 2) as f64).curvature_pm().abs()),
-        );
-        self.brake_along_curvatures(request, share_min);
-    }
-
-    /// The same from the reference, when that is a drivable shape.
-    fn brake_along_reference(&mut self, request: &SmoothRequest<'_>, d_m: f64, share_min: f64) {
-        self.grip_step_m = d_m;
-        self.curvatures_pm.clear();
-        self.curvatures_pm.push(request.start_curvature_pm.unwrap_or(0.0).abs());
-        self.curvatures_pm.extend(
-            self.reference.windows(3).map(|w| ((w[2] - w[1]) - (w[1] - w[0])).norm() / (d_m * d_m)),
-        );
-        self.brake_along_curvatures(request, share_min);
-    }
-
-    fn brake_along_curvatures(&mut self, request: &SmoothRequest<'_>, share_min: f64) {
-        self.grip_bound_pm.clear();
-        let grip = request.acceleration_limit_mps2;
-        let mut left = request.start_speed_mps.powi(2);
-        for curvature in &self.curvatures_pm {
-            if left <= 0.0 {
-                break;
-            }
-            let share = (curvature * left / grip).clamp(share_min, TURN_SHARE_MAX);
-            self.grip_bound_pm.push(share * grip / left);
-            left -= 2.0 * grip * (1.0 - share * share).sqrt() * self.grip_step_m;
-        }
-        self.hold_first(request);
-    }
-
-    /// A car on the limit of the friction circle may stay there for the first steps.
-    fn hold_first(&mut self, request: &SmoothRequest<'_>) {
-        let held = request.start_curvature_pm.unwrap_or(0.0).abs();
-        for bound in self.grip_bound_pm.iter_mut().take(2) {
-            *bound = bound.max(held);
-        }
-    }
-
-    /// Checks the sampled curve against every limit.
-    fn verify<F: ClearanceField>(
-        &self,
-        task: &Task<'_, F>,
-        strictness: Strictness,
-        stats: &mut SmoothStats,
-    ) -> Result<(), (SmoothError, Mend)> {
-        let limit_pm = task.request.curvature_limit_pm;
-        let tightest = self
-            .path
-            .points
-            .iter()
-            .max_by(|a, b| a.curvature_pm.abs().total_cmp(&b.curvature_pm.abs()));
-        let tightest = tightest.expect("a path has samples");
-        stats.curvature_max_pm = tightest.curvature_pm.abs();
-        let most = limit_pm * (1.0 + CURVATURE_TOLERANCE);
-        if stats.curvature_max_pm.is_nan() || stats.curvature_max_pm > most {
-            let error = SmoothError::TooTight {
-                s_m: tightest.s_m,
-                curvature_pm: stats.curvature_max_pm,
-                limit_pm,
-            };
-            let factor = (limit_pm / stats.curvature_max_pm * 0.995).clamp(0.8, 0.995);
-            return Err((error, Mend::Curvature(factor)));
-        }
-        stats.clearance_slack_m = f64::INFINITY;
-        let mut nearest = None;
-        for p in &self.path.points {
-            let (clearance_m, keep_m) =
-                (task.field.clearance_m(p.position), task.must_keep_m(p.s_m, strictness));
-            if clearance_m - keep_m < stats.clearance_slack_m {
-                stats.clearance_slack_m = clearance_m - keep_m;
-                nearest = Some(SmoothError::TooNear { s_m: p.s_m, clearance_m, keep_m });
-            }
-        }
-        if let Some(error) = nearest.filter(|_| stats.clearance_slack_m < -CLEARANCE_TOLERANCE_M) {
-            return Err((error, Mend::Clearance));
-        }
-        self.brake(task).map_err(|error| (error, Mend::Friction))
-    }
-
-    /// Brakes from the start speed as hard as the friction circle allows along the path: its speed
-    /// must nowhere be more than the bends bear. (With a few percent of leave: the speed profile
-    /// is the judge, this saves it hopeless paths.)
-    fn brake<F: ClearanceField>(&self, task: &Task<'_, F>) -> Result<(), SmoothError> {
-        let grip = task.request.acceleration_limit_mps2;
-        let mut energy = task.request.start_speed_mps.powi(2);
-        for w in self.path.points.windows(2) {
-            let lateral = energy * w[0].curvature_pm.abs().max(w[1].curvature_pm.abs());
-            if lateral > 1.02 * grip {
-                return Err(SmoothError::TooFast { s_m: w[1].s_m, speed_mps: energy.sqrt() });
-            }
-            let braking = (grip * grip - lateral * lateral).max(0.0).sqrt();
-            energy -= 2.0 * braking * (w[1].s_m - w[0].s_m);
-            if energy <= 0.0 {
-                break;
-            }
-        }
-        Ok(())
-    }
-
-    /// Takes what the curve lacks in clearance off the bubbles of the control points around.
-    fn shrink_where_near<F: ClearanceField>(&mut self, task: &Task<'_, F>, strictness: Strictness) {
-        let samples = self.path.points.len() - 1;
-        let per_piece = samples / self.spline.pieces();
-        self.lack_m.clear();
-        self.lack_m.resize(self.shrink_m.len(), 0.0);
-        for (i, p) in self.path.points.iter().enumerate() {
-            let lack = task.must_keep_m(p.s_m, strictness) - task.field.clearance_m(p.position);
-            if lack > 0.0 {
-                let k = i / per_piece;
-                for j in k.saturating_sub(1)..=(k + 2).min(self.lack_m.len() - 1) {
-                    self.lack_m[j] = self.lack_m[j].max(lack + CURVE_MARGIN_M);
-                }
-            }
-        }
-        for (shrink, lack) in self.shrink_m.iter_mut().zip(&self.lack_m) {
-            *shrink += lack;
-        }
-    }
 }
 
 /// Factor on the step of the next program, from the lengths of the last two references (none for
@@ -635,12 +414,10 @@ fn steady(before_m: Option<f64>, length_m: f64) -> f64 {
     before_m.map_or(1.0, |before_m| (0.5 * (1.0 + before_m / length_m)).clamp(0.95, 1.05))
 }
 
-/// What to change after a failed check.
-enum Mend {
-    /// Curvature bound times this.
-    Curvature(f64),
-    Friction,
-    Clearance,
+/// 1 at an end, falling to 0 over `RAMP_M` with no slope there: what a path gains sideways in a
+/// gentle bend goes with the square of the distance.
+fn near_end(distance_m: f64) -> f64 {
+    1.0 - (distance_m.max(0.0) / RAMP_M).min(1.0).powi(2)
 }
 
 fn sizes(params: &SmoothParams) -> BubbleSizes {

@@ -197,7 +197,9 @@ fn drive(maze: &Maze, speed_max: f64) -> (u32, u32, u32, f64) {
         r.start_speed_mps = speed;
         r.start_curvature_pm = curvature;
         plans += 1;
-        let shaped = smoother.smooth(&params, &maze.field, &r).ok();
+        let shaped = smoother.smooth(&params, &maze.field, &r);
+        let at_rest = shaped.as_ref().err().copied();
+        let shaped = shaped.ok();
         let planned = shaped.and_then(|s| {
             check_path(&s.path, &maze.field, &r, "underway");
             solves += s.stats.solves;
@@ -209,7 +211,7 @@ fn drive(maze: &Maze, speed_max: f64) -> (u32, u32, u32, f64) {
             Some(plan) => now = Some(plan),
             None => failures += 1,
         }
-        let (path, speeds, s) = now.as_mut().expect("the plan at rest succeeds");
+        let (path, speeds, s) = now.as_mut().unwrap_or_else(|| panic!("at rest: {at_rest:?}"));
         let mut i = path.points.partition_point(|p| p.s_m < *s + 1e-9).max(1) - 1;
         let mut step_s = 0.0;
         while step_s < 0.05 && i + 1 < path.points.len() {
