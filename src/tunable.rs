@@ -363,6 +363,15 @@ mod tests {
     }
 
     #[test]
+    fn every_choice_has_a_name_that_leads_back_to_it_and_a_text() {
+        for shape in Shape::ALL {
+            assert_eq!(Shape::from_name(shape.name()), Some(*shape));
+        }
+        assert_eq!(Shape::ALL.iter().map(|shape| shape.name()).collect::<Vec<_>>(), Shape::NAMES);
+        assert_eq!(Shape::Square.text(), "Four corners.");
+    }
+
+    #[test]
     fn values_are_checked_by_kind_and_range() {
         let mut trial = Trial::default();
         trial.set("speed_mps", &Value::Integer(2)).unwrap();

@@ -119,7 +119,8 @@ impl World {
     /// Whether the point lies on the raster.
     pub fn contains(&self, point: Point) -> bool {
         let p = self.to_local(point);
-        self.offset(floor(p.u), floor(p.v)).is_some()
+        let is_number = !(p.u.is_nan() || p.v.is_nan());
+        is_number && self.offset(floor(p.u), floor(p.v)).is_some()
     }
 
     /// Lower left and upper right corner of the upright rectangle around the raster, map frame.
