@@ -225,7 +225,9 @@ fn choice<T: Copy + Send + Sync + 'static>(
     name: fn(T) -> &'static str,
     text: fn(T) -> &'static str,
 ) -> impl TypedValueParser<Value = T> {
-    let names = all.iter().map(|value| PossibleValue::new(name(*value)).help(text(*value)));
+    let names = all
+        .iter()
+        .map(|value| PossibleValue::new(name(*value)).help(text(*value).trim_end_matches('.')));
     PossibleValuesParser::new(names.collect::<Vec<_>>()).map(move |given| {
         let named = all.iter().find(|value| name(**value) == given);
         *named.expect("only names of the list get through")
