@@ -1,7 +1,11 @@
 //! The program as scripts and people meet it: the built binary, its exit codes, what it prints and
 //! what it leaves behind.
 
-#![allow(clippy::disallowed_methods, reason = "tests of a program that runs by the clock")]
+#![allow(
+    clippy::disallowed_methods,
+    clippy::unwrap_used,
+    reason = "tests of a program that runs by the clock"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};

@@ -33,7 +33,7 @@ pub struct Cli {
 /// What the program can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Drive a simulated car to a goal, in virtual time.
+    /// Drive a simulated car to a goal.
     Sil(Box<SilArgs>),
     /// Write a maze as ROS map_server files.
     Maze(MazeArgs),

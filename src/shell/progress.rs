@@ -119,9 +119,6 @@ mod tests {
             remaining_m: 20.1,
             replans: 214,
         };
-        assert_eq!(
-            text(&progress),
-            " 12.3 m driven  20.1 m to go  3.9 m/s  214 replans   6.2 s"
-        );
+        assert_eq!(text(&progress), " 12.3 m driven  20.1 m to go  3.9 m/s  214 replans   6.2 s");
     }
 }
