@@ -167,13 +167,14 @@ fn walls(world: &World) -> Vec<[Point; 2]> {
     outline(world.width(), world.height(), solid, |p| origin.to_map(p * resolution_m))
 }
 
-/// What is left of the newest plan, the way that it imagines beyond, and straight on to the goal.
+/// What is left of the newest plan, how the path is imagined to go on, and from there straight to
+/// the goal.
 fn remaining_m(rig: &Rig, goal: Point) -> f64 {
     let plan = rig.core().committed().newest();
     let stop = plan.trajectory.last().path;
     let mut from = stop.position;
     let mut length_m = stop.s_m - plan.trajectory.at(rig.now()).path.s_m;
-    for point in plan.beyond.iter().copied().chain([goal]) {
+    for point in plan.beyond.points.iter().map(|p| p.position).chain([goal]) {
         length_m += (point - from).norm();
         from = point;
     }
