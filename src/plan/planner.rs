@@ -466,6 +466,16 @@ impl Planner {
     fn straight_on(&self, request: &PlanRequest, guide: &Guide, old: Option<&OldWay>) -> Way {
         let reaches_goal = self.reaches_goal(request, guide);
         match old {
+            // All the way as before, through known space: the old shape, and the guide beyond its
+            // end. In unknown space the shape has to change with what is seen.
+            Some(OldWay { candidate, follows: Some(Fork { whole: Some(next), .. }), .. })
+                if guide.known_until >= *next =>
+            {
+                let old = candidate.path.points.iter().step_by(2);
+                let mut points: Vec<Point> = old.map(|p| p.position).collect();
+                points.extend_from_slice(&guide.points[*next..]);
+                Way { points, warm: true, manoeuvre: None, reaches_goal }
+            }
             Some(OldWay { follows: Some(fork), .. }) => {
                 let mut points = fork.blend.clone();
                 points.extend_from_slice(&guide.points[fork.guide + 1..]);
@@ -724,6 +734,8 @@ struct Fork {
     guide: usize,
     /// A line that leads from the path over to the guide up to there.
     blend: Vec<Point>,
+    /// If the guide stays near the whole path: its first point beyond the path's end.
+    whole: Option<usize>,
 }
 
 struct ClearRoom<'a> {
@@ -765,7 +777,8 @@ fn same_way(
     let points = &path.points;
     let mut at = 0;
     let (mut along_m, mut looked_m) = (0.0, 0.0);
-    let mut fork = Fork { guide: 0, blend: vec![points[0].position] };
+    let mut fork = Fork { guide: 0, blend: vec![points[0].position], whole: None };
+    let mut blending = true;
     for (i, p) in guide.iter().enumerate().skip(1) {
         along_m += (p - guide[i - 1]).norm();
         if along_m < looked_m + LOOK_EVERY_M && i + 1 < guide.len() {
@@ -779,16 +792,21 @@ fn same_way(
         if distance(at) > APART_M * APART_M || !sees(points[at].position, *p) {
             return (along_m > AGREE_M).then_some(fork);
         }
-        fork.guide = i;
-        let share = (along_m / blend_m).min(1.0);
-        let blended = points[at].position + (p - points[at].position) * share;
-        if fork.blend.last().is_none_or(|last| (blended - last).norm() > 0.1) {
-            fork.blend.push(blended);
+        if blending {
+            fork.guide = i;
+            let share = (along_m / blend_m).min(1.0);
+            let blended = points[at].position + (p - points[at].position) * share;
+            if fork.blend.last().is_none_or(|last| (blended - last).norm() > 0.1) {
+                fork.blend.push(blended);
+            }
+            blending = share < 1.0;
         }
-        if at + 1 == points.len() || share >= 1.0 {
-            break;
+        if at + 1 == points.len() {
+            fork.whole = Some(i);
+            return Some(fork);
         }
     }
+    fork.whole = Some(guide.len());
     Some(fork)
 }
 
