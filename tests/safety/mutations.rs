@@ -306,7 +306,7 @@ fn staircase() -> Trial {
         })
         .collect();
     let world = World::new(0.1, Pose::new(0.0, 0.0, 0.0), columns, rows, &solid);
-    let start = Pose::new(1.0, 3.0, 0.0);
+    let start = Pose::new(1.0, 3.04, 0.0);
     Trial::in_world("staircase".into(), world, start, Point::new(10.5, 3.0)).for_s(5.0)
 }
 
