@@ -290,7 +290,7 @@ impl Autopilot {
                         stop: plan.trajectory.last().path.position,
                         length_m: plan.trajectory.last().path.s_m,
                     });
-                    self.committed.schedule(Arc::new(*plan));
+                    self.committed.schedule(*plan);
                 } else {
                     self.statistics.plans_stale += 1;
                 }

@@ -115,7 +115,8 @@ pub fn tracking(rig: &Rig, worst: &mut Worst, findings: &mut Findings) {
     let along = (s - should.path.s_m).abs();
     worst.lateral_m = worst.lateral_m.max(lateral);
     worst.along_m = worst.along_m.max(along);
-    worst.faster_mps = worst.faster_mps.max(rig.car().speed_mps - trajectory.at_distance(s).speed_mps);
+    worst.faster_mps =
+        worst.faster_mps.max(rig.car().speed_mps - trajectory.at_distance(s).speed_mps);
     findings.check(lateral <= TRACKING_M, "I8", || {
         format!(
             "{}: {lateral:.4} m beside the plan ({s:.3} m along, should be {should:?}), {:?}",
@@ -140,10 +141,11 @@ pub fn can_stop(rig: &Rig, limits: &Limits, worst: &mut Worst, findings: &mut Fi
     };
     let r = limits.radius_m;
     let parts = ((stop - s).clamp(0.0, 20.0) / 0.02).ceil().max(1.0) as u32;
-    let touched = (0..=parts).map(|k| s + (stop - s) * f64::from(k) / f64::from(parts)).find(|at| {
-        let p = place(*at);
-        !(to_solid_m(rig.world(), p, r) >= r && to_blocked_m(rig.core().grid(), p, r) >= r)
-    });
+    let touched =
+        (0..=parts).map(|k| s + (stop - s) * f64::from(k) / f64::from(parts)).find(|at| {
+            let p = place(*at);
+            !(to_solid_m(rig.world(), p, r) >= r && to_blocked_m(rig.core().grid(), p, r) >= r)
+        });
     findings.check(touched.is_none(), "I7", || {
         format!(
             "{}: a stop touches what is not free at {touched:?} m; it begins at {s:.3} m with \

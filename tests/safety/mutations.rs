@@ -75,7 +75,13 @@ fn drive(trial: &Trial, planning: Box<dyn Planning>) -> Driven {
 }
 
 /// Drives with the mistake, which must break the rule, and without it, which must break none.
-fn assert_killed<Q, A>(trial: &Trial, rule: &str, planner: Planner, question: Q, answer: A) -> Driven
+fn assert_killed<Q, A>(
+    trial: &Trial,
+    rule: &str,
+    planner: Planner,
+    question: Q,
+    answer: A,
+) -> Driven
 where
     Q: FnMut(PlanRequest) -> PlanRequest + Send + 'static,
     A: FnMut(&PlanRequest, Plan) -> Plan + Send + 'static,
@@ -114,12 +120,10 @@ fn treating_the_unknown_as_free_is_found_by_the_certificate_and_by_the_judge() {
     let trial = Trial::maze(Family::Branching, 22).fast().for_s(8.0);
     let mistaken = assert_killed(&trial, "P4", trial.planner(), all_known, same_answer);
     assert!(mistaken.violations("P11") > 0, "the committed plan leaves the known");
-    // The guard proves the braking tail free of returns only; that space out of sight is free is
-    // for the map to say. What a map that calls the unknown free leads to, the judge counts.
-    let (entered, stops) =
-        (mistaken.rig.judge().unknown_entries(), mistaken.rig.core().statistics().guard_stops);
-    println!("unknown entries {entered}, guard stops {stops}");
-    assert_eq!(mistaken.rig.judge().collisions(), 0, "the guard still prevents contact");
+    // The guard proves a braking tail free of returns only; whether space out of sight is free is for
+    // the map to say. What comes of a map that calls the unknown free is counted by the judge.
+    let entered = mistaken.rig.judge().unknown_entries();
+    assert!(entered > 0, "no unknown entry, {:?}", mistaken.rig.car());
 }
 
 #[test]

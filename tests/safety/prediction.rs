@@ -81,7 +81,13 @@ fn a_drive_depends_on_its_setup_alone_and_not_on_threads() {
         let alone = digest(trial);
         let (a, b) = rayon::join(|| digest(trial), || digest(trial));
         assert_eq!((&alone, &alone), (&a, &b), "{}", trial.label());
-        let other = Trial { start: apexd::frames::Pose { heading_rad: trial.start.heading_rad + 0.1, ..trial.start }, ..trial.clone() };
+        let other = Trial {
+            start: apexd::frames::Pose {
+                heading_rad: trial.start.heading_rad + 0.1,
+                ..trial.start
+            },
+            ..trial.clone()
+        };
         assert_ne!(alone, digest(&other), "the digest tells drives apart");
     }
 }

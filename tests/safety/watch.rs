@@ -175,7 +175,8 @@ impl Watch {
         let b = grid.bounds();
         for iy in b.y0..b.y1 {
             let row = grid.row(iy).expect("the row is within the bounds");
-            let old_row = self.known.as_ref().and_then(|known| Some((known.row(iy)?, known.bounds())));
+            let old_row =
+                self.known.as_ref().and_then(|known| Some((known.row(iy)?, known.bounds())));
             for (ix, &now) in (b.x0..).zip(row) {
                 let before = old_row
                     .filter(|(_, old)| ix >= old.x0 && ix < old.x1)
@@ -210,7 +211,7 @@ impl Watch {
             |(_, event)| matches!(event, Event::PlanShortened { number: n, .. } if *n == number),
         );
         let origin = match self.certified.get(&number) {
-            Some((certified, _)) => *certified == current.trajectory,
+            Some((certified, _)) => ends_with(&current.trajectory, certified),
             None if standing => rig.car().speed_mps < ABOUT_TO_STAND_MPS,
             None => shortened,
         };
@@ -227,7 +228,8 @@ impl Watch {
             });
         }
         if !standing && !shortened {
-            let start = current.trajectory.start;
+            let given = self.certified.get(&number).map(|(certified, _)| certified.start);
+            let start = given.unwrap_or(current.trajectory.start);
             let (a, b) = (old.trajectory.at(start), current.trajectory.at(start));
             let jump = (a.path.position - b.path.position).norm();
             let faster = (a.speed_mps - b.speed_mps).abs();
@@ -254,7 +256,8 @@ impl Watch {
             instants::motion(rig, &before, &state, self.velocity, &self.limits, worst, findings);
         self.velocity = Some(velocity);
         if let Some(sample) = rig.trace().samples.last() {
-            let force = sample.longitudinal_n.hypot(sample.lateral_n) / VehicleParams::default().mass_kg;
+            let force =
+                sample.longitudinal_n.hypot(sample.lateral_n) / VehicleParams::default().mass_kg;
             findings.check(force <= self.limits.accel_mps2 * (1.0 + 1e-6), "I3", || {
                 format!("{}: {force:.4} m/s^2 asked for", rig.now())
             });
@@ -310,6 +313,20 @@ impl Watch {
             });
         }
     }
+}
+
+/// Whether what is driven is what was certified, after a stretch of the way behind.
+fn ends_with(driven: &Trajectory, certified: &Trajectory) -> bool {
+    let Some(behind) = driven.points.len().checked_sub(certified.points.len()) else {
+        return false;
+    };
+    let (d, c) = (driven.start.as_secs_f64(), certified.start.as_secs_f64());
+    driven.points[behind..].iter().zip(&certified.points).all(|(a, b)| {
+        a.path.position == b.path.position
+            && a.path.heading_rad == b.path.heading_rad
+            && a.speed_mps == b.speed_mps
+            && (d + a.t_s - c - b.t_s).abs() < 1e-8
+    })
 }
 
 /// Control parameters that the tolerances rest on have the values they were set for.
