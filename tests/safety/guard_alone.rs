@@ -3,8 +3,8 @@
 use apexd::autopilot::Event;
 use apexd::frames::wrap_angle;
 use apexd::plan::{
-    PathPoint, Plan, PlanRequest, Planning, StepReport, StepTimes, Trajectory, TrajectoryPoint,
-    Verdict,
+    Path, PathPoint, Plan, PlanRequest, Planning, StepReport, StepTimes, Trajectory,
+    TrajectoryPoint, Verdict,
 };
 use apexd::sim::drive::Outcome;
 use apexd::sim::maze::Family;
@@ -51,7 +51,7 @@ impl Planning for FullThrottle {
             number: request.number,
             scan_stamp: request.scan_stamp,
             trajectory: Trajectory { start: request.takes_over, points },
-            beyond: Vec::new(),
+            beyond: Path::default(),
         };
         StepReport {
             number: request.number,

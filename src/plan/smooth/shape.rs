@@ -17,8 +17,8 @@ const PIECES_MIN: usize = 8;
 const GUIDE_MIN_M: f64 = 0.05;
 /// Limits are tightened from their exact values at the start to those with margin over this
 /// length, so that the rest of a path that kept them with margin is feasible when replanned.
-const RAMP_M: f64 = 1.5;
-/// Beyond the start, bubbles keep this much more than asked: the curve lies up to this far inside
+const RAMP_M: f64 = 1.0;
+/// Bubbles keep this much more than the finished curve must: the curve lies up to this far inside
 /// the chords between control points.
 const CURVE_MARGIN_M: f64 = 0.001;
 /// By how much a car may start too close to an obstacle (drift of the map against the plan under
@@ -29,9 +29,21 @@ const CLEARANCE_TOLERANCE_M: f64 = 1e-5;
 const CURVATURE_TOLERANCE: f64 = 1e-6;
 /// Most solves after the passes to mend a limit that the finished curve breaks.
 const REPAIRS_MAX: u32 = 5;
-/// Shares of the friction circle for turning and for braking (3-4-5) while the start speed is shed.
-const TURN_SHARE: f64 = 0.8;
-const BRAKE_SHARE: f64 = 0.6;
+/// Weight of squared differences between successive steps against squared second differences.
+/// Without it points gather in bends, which makes tight bends look cheap and breaks the turning
+/// radius (every tenth maze failed, the others were 1 % slower). In the first pass less, because
+/// the reference's directions there are those of a staircase of cells.
+const EVENNESS_FIRST: f64 = 100.0;
+const EVENNESS: f64 = 1000.0;
+/// While the start speed is shed, bends may use what share of the friction circle the last curve
+/// used there, but at most and at least these (the least leaves freedom on straights, at the cost
+/// of some braking; repairs lower it by the step).
+const TURN_SHARE_MAX: f64 = 0.98;
+const TURN_SHARE_MIN: f64 = 0.6;
+const TURN_SHARE_STEP: f64 = 0.12;
+
+/// Turning radius is divided by this in the first pass about a guide on cells.
+const FIRST_PASS_RELAXED: f64 = 1.5;
 
 /// How strictly a program is set up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,6 +71,10 @@ pub struct Smoother {
     unknowns: Vec<Point>,
     controls: Vec<Point>,
     spline: Spline,
+    /// Curvature that the tyres bear at equal steps from the start; unlimited after the last.
+    grip_bound_pm: Vec<f64>,
+    grip_step_m: f64,
+    curvatures_pm: Vec<f64>,
     path: Path,
 }
 
@@ -67,60 +83,47 @@ struct Task<'a, F> {
     field: &'a F,
     request: &'a SmoothRequest<'a>,
     params: &'a SmoothParams,
-    /// Clearance that the start lacks.
+    /// Clearance that the start has, and what it lacks.
+    start_clearance_m: f64,
     deficit_m: f64,
     /// Fixed end, or centre of the disc that it may lie in.
     end: Point,
     end_radius_m: f64,
-    /// Taken off the curvature bound and the friction share by repairs.
+    /// Taken off the curvature bound by repairs.
     curvature_share: f64,
-    friction_share: f64,
+    /// Least share of the friction circle for bends while the start speed is shed.
+    turn_share_min: f64,
 }
 
 impl<F: ClearanceField> Task<'_, F> {
     /// Clearance that the finished path must have at arc length `s_m`.
-    fn must_keep_m(&self, s_m: f64) -> f64 {
-        self.request.radius_m - self.deficit_m * (1.0 - s_m / RAMP_M).max(0.0)
-    }
-
-    /// Share of the ramp from bare limits to limits with margin.
-    fn ramp(&self, s_m: f64, strictness: Strictness) -> f64 {
-        match strictness {
-            Strictness::Bare => 0.0,
-            _ => (s_m / RAMP_M).min(1.0),
-        }
+    fn must_keep_m(&self, s_m: f64, strictness: Strictness) -> f64 {
+        let margin = if strictness == Strictness::Bare { 0.0 } else { self.params.margin_m };
+        let left = 1.0 - (s_m / RAMP_M).min(1.0).powi(2);
+        self.request.radius_m + margin - (self.deficit_m + margin) * left
     }
 
     /// Clearance that bubbles keep at `s_m` for control points `d_m` apart: on the chord between
     /// two points that are both this far from a corner, the middle is `must_keep_m` from it.
+    /// Never more than what the start has and what a gentle bend away gains from there.
     fn bubble_keep_m(&self, s_m: f64, d_m: f64, strictness: Strictness) -> f64 {
-        let keep = self.must_keep_m(s_m);
+        let keep = self.must_keep_m(s_m, strictness);
         let chord = (keep * keep + 0.25 * d_m * d_m).sqrt() + CURVE_MARGIN_M;
-        keep + (chord - keep) * self.ramp(s_m, strictness)
+        let lack =
+            (chord - keep - (self.start_clearance_m - self.must_keep_m(0.0, strictness))).max(0.0);
+        chord - lack * (1.0 - (s_m / RAMP_M).min(1.0).powi(2))
     }
 
-    /// Curvature bound at `s_m`: turning radius, and near the start what the speed allows that is
-    /// left there under braking.
-    fn curvature_bound_pm(&self, s_m: f64, strictness: Strictness) -> f64 {
+    /// Curvature that the steering allows at `s_m`.
+    fn steering_bound_pm(&self, s_m: f64, strictness: Strictness) -> f64 {
         let limit = self.request.curvature_limit_pm;
         if let Strictness::Relaxed(factor) = strictness {
             return limit * factor;
         }
-        let bare = 0.998;
-        let share =
-            bare + (self.params.curvature_share.min(bare) - bare) * self.ramp(s_m, strictness);
-        let turn = limit * share * self.curvature_share;
-        let grip = self.request.acceleration_limit_mps2;
-        let energy = self.request.start_speed_mps.powi(2);
-        if energy <= 0.0 {
-            return turn;
-        }
-        // Holding the speed at (nearly) full grip, or having braked all the way.
-        let held = self.request.start_curvature_pm.map_or(0.0, |k| k.abs() * energy / grip);
-        let hold = held.clamp(0.95, 1.0) * grip / energy;
-        let left = energy - 2.0 * BRAKE_SHARE * grip * s_m;
-        let braked = if left > 0.0 { TURN_SHARE * grip / left } else { f64::INFINITY };
-        turn.min(self.friction_share * hold.max(braked))
+        let exact = 0.998;
+        let ramp = if strictness == Strictness::Bare { 0.0 } else { (s_m / RAMP_M).min(1.0) };
+        let share = exact + (self.params.curvature_share.min(exact) - exact) * ramp;
+        limit * share * self.curvature_share
     }
 }
 
@@ -148,29 +151,43 @@ impl Smoother {
         // An end at the horizon is nobody's wish: it moves to where there is room.
         let end =
             if complete { last } else { bubble_at(field, last, request.radius_m, &sizes).centre };
+        let end_room_m = (field.clearance_m(end) - request.radius_m - params.margin_m).max(0.0);
         let mut task = Task {
             field,
             request,
             params,
+            start_clearance_m: clearance,
             deficit_m,
             end,
-            end_radius_m: if complete { request.end_radius_m } else { 0.0 },
+            end_radius_m: if complete { request.end_radius_m.min(end_room_m) } else { 0.0 },
             curvature_share: 1.0,
-            friction_share: 1.0,
+            turn_share_min: TURN_SHARE_MIN,
         };
         let mut stats = SmoothStats::default();
         let passes = if request.warm { params.passes_warm } else { params.passes };
         let mut length_m = length_m;
+        // length of the reference before, unless that was the guide
+        let mut before_m = None;
+        let mut is_guide = true;
         let mut pass = 0;
         let mut strictness = Strictness::Margins;
+        self.brake_straight(request);
         let mut d_m;
         loop {
-            d_m = self.resample(params, length_m);
+            d_m = self.resample(params, length_m) * steady(before_m, length_m);
             self.shrink_m.clear();
             self.shrink_m.resize(self.reference.len(), 0.0);
             self.blow(&task, d_m, strictness)?;
             pass += 1;
-            match self.solve(&task, d_m, strictness, &mut stats) {
+            if request.warm && pass == 1 {
+                self.brake_along_reference(request, d_m, task.turn_share_min);
+            }
+            // A guide of straight cells with corners leaves less room than there is.
+            let mut attempt = strictness;
+            if !request.warm && pass == 1 && passes > 1 && stats.solves == 0 {
+                attempt = Strictness::Relaxed(FIRST_PASS_RELAXED);
+            }
+            match self.solve(&task, d_m, attempt, &mut stats) {
                 Ok(()) => {
                     if pass >= passes {
                         break;
@@ -181,8 +198,10 @@ impl Smoother {
                     // A reference that is no drivable path (sharp corners, a start across it) may
                     // leave no room for one: a relaxed solution is the better reference.
                     stats.relaxed += 1;
-                    strictness = Strictness::Bare;
-                    let relaxed = [2.0, 5.0].into_iter().find_map(|factor| {
+                    if stats.relaxed >= 2 {
+                        strictness = Strictness::Bare;
+                    }
+                    let relaxed = [1.25, 2.0, 5.0].into_iter().find_map(|factor| {
                         self.solve(&task, d_m, Strictness::Relaxed(factor), &mut stats).ok()
                     });
                     if relaxed.is_none() {
@@ -191,27 +210,37 @@ impl Smoother {
                     pass = pass.min(passes.saturating_sub(2));
                 }
             }
+            before_m = (!std::mem::replace(&mut is_guide, false)).then_some(length_m);
             length_m = self.refer_to_spline();
+            self.brake_along_spline(request, task.turn_share_min);
         }
         loop {
             self.spline.sample(SAMPLE_SPACING_M, &mut self.path);
-            let Err((error, mend)) = self.verify(&task, &mut stats) else { break };
+            let Err((error, mend)) = self.verify(&task, strictness, &mut stats) else { break };
             if stats.repairs >= REPAIRS_MAX {
                 return Err(error);
             }
             stats.repairs += 1;
             match mend {
-                Mend::Curvature(factor) => {
-                    task.curvature_share *= factor;
-                    let length_m = self.refer_to_spline();
-                    d_m = self.resample(params, length_m);
+                Mend::Curvature(_) | Mend::Friction => {
+                    if let Mend::Curvature(factor) = mend {
+                        // The first time, equal steps of the right length may be all it takes.
+                        if stats.repairs > 1 {
+                            task.curvature_share *= factor;
+                        }
+                    } else {
+                        task.turn_share_min = (task.turn_share_min - TURN_SHARE_STEP).max(0.0);
+                    }
+                    before_m = Some(length_m);
+                    length_m = self.refer_to_spline();
+                    self.brake_along_spline(request, task.turn_share_min);
+                    d_m = self.resample(params, length_m) * steady(before_m, length_m);
                     self.shrink_m.clear();
                     self.shrink_m.resize(self.reference.len(), 0.0);
                     self.blow(&task, d_m, strictness)?;
                 }
-                Mend::Friction => task.friction_share *= 0.85,
                 Mend::Clearance => {
-                    self.shrink_where_near(&task);
+                    self.shrink_where_near(&task, strictness);
                     self.blow(&task, d_m, strictness)?;
                 }
             }
@@ -340,7 +369,7 @@ impl Smoother {
         let start = request.start.position.coords;
         let forward = heading_vector(request.start.heading_rad);
         let fixed_first = request.start_curvature_pm.map(|k| {
-            let bound = task.curvature_bound_pm(0.0, strictness);
+            let bound = task.steering_bound_pm(0.0, strictness);
             let left = Vector::new(-forward.y, forward.x);
             start + forward * d_m + left * (k.clamp(-bound, bound) * d_m * d_m / 3.0)
         });
@@ -375,7 +404,13 @@ impl Smoother {
         }
         let squared = d_m * d_m;
         let weight = 1.0 / (squared * squared);
-        let bound = |k: usize| task.curvature_bound_pm(k as f64 * d_m, strictness) * squared;
+        let relaxed = matches!(strictness, Strictness::Relaxed(_));
+        let bound = |k: usize| {
+            let s_m = k as f64 * d_m;
+            let turn = task.steering_bound_pm(s_m, strictness);
+            let grip = self.grip_bound_pm.get((s_m / self.grip_step_m) as usize);
+            squared * grip.filter(|_| !relaxed).map_or(turn, |g| turn.min(*g))
+        };
         let step = forward * d_m;
         if fixed_first.is_none() {
             let turn = stencil(&[(1, -3.0)], (start + step) * 3.0);
@@ -391,8 +426,9 @@ impl Smoother {
             let turn = stencil(&[(k - 1, -1.0), (k, 2.0), (k + 1, -1.0)], Vector::zeros());
             self.program.bends.push(Bend { stencil: turn, bound_m: bound(k), weight });
         }
-        let fade = ((8.0 - request.speed_max_mps) / 4.0).clamp(0.0, 1.0);
-        let weight = task.params.length_weight_pm2 * fade / squared;
+        let bend = task.request.acceleration_limit_mps2 / request.speed_max_mps.max(0.1).powi(2);
+        let bend = bend.min(2.0 * request.curvature_limit_pm);
+        let weight = task.params.length_weight * bend * bend / squared;
         if weight > 0.0 {
             if fixed_first.is_none() {
                 let chord = stencil(&[(1, 1.0)], -start);
@@ -405,14 +441,9 @@ impl Smoother {
         }
 
         // Steps C_{k-1} C_k and C_k C_{k+1} along the reference's directions.
-        let evenness = std::env::var("EVEN").map_or(1000.0, |v| v.parse().unwrap());
-        let weight = evenness / (squared * squared);
-        let reach =
-            ((0.01 + std::env::var("REACH").map_or(0.0, |v| v.parse().unwrap())) / d_m) as usize;
-        let along = |k: usize| {
-            let (a, b) = (k.saturating_sub(reach), (k + 1 + reach).min(n));
-            (self.reference[b] - self.reference[a]).normalize()
-        };
+        let first = stats.solves == 0 && !request.warm;
+        let weight = if first { EVENNESS_FIRST } else { EVENNESS } / (squared * squared);
+        let along = |k: usize| (self.reference[k + 1] - self.reference[k]).normalize();
         for k in 2..n {
             let (t0, t1) = (along(k - 1), along(k));
             let mut row = Unevenness {
@@ -452,10 +483,74 @@ impl Smoother {
         Ok(())
     }
 
+    /// Bends that even full braking on a straight does not bring into the friction circle are
+    /// hopeless: the bound before there is a curve.
+    fn brake_straight(&mut self, request: &SmoothRequest<'_>) {
+        self.grip_bound_pm.clear();
+        self.grip_step_m = 0.05;
+        let grip = request.acceleration_limit_mps2;
+        let mut left = request.start_speed_mps.powi(2);
+        while left > 0.0 {
+            self.grip_bound_pm.push(TURN_SHARE_MAX * grip / left);
+            left -= 2.0 * grip * self.grip_step_m;
+        }
+        self.hold_first(request);
+    }
+
+    /// The bound from the present curve: bends may use the share of the friction circle that they
+    /// use there, and the rest brakes. Whatever keeps this bound can be driven from the start
+    /// speed: with the turning share c, squared speed e and bound c A / e, a flatter curve only
+    /// brakes more.
+    fn brake_along_spline(&mut self, request: &SmoothRequest<'_>, share_min: f64) {
+        let pieces = self.spline.pieces();
+        self.grip_step_m = self.spline.at(0, 0.0).velocity.norm() * 0.5;
+        self.curvatures_pm.clear();
+        self.curvatures_pm.extend(
+            (0..2 * pieces)
+                .map(|i| self.spline.at(i / 2, 0.5 * (i % 2) as f64).curvature_pm().abs()),
+        );
+        self.brake_along_curvatures(request, share_min);
+    }
+
+    /// The same from the reference, when that is a drivable shape.
+    fn brake_along_reference(&mut self, request: &SmoothRequest<'_>, d_m: f64, share_min: f64) {
+        self.grip_step_m = d_m;
+        self.curvatures_pm.clear();
+        self.curvatures_pm.push(request.start_curvature_pm.unwrap_or(0.0).abs());
+        self.curvatures_pm.extend(
+            self.reference.windows(3).map(|w| ((w[2] - w[1]) - (w[1] - w[0])).norm() / (d_m * d_m)),
+        );
+        self.brake_along_curvatures(request, share_min);
+    }
+
+    fn brake_along_curvatures(&mut self, request: &SmoothRequest<'_>, share_min: f64) {
+        self.grip_bound_pm.clear();
+        let grip = request.acceleration_limit_mps2;
+        let mut left = request.start_speed_mps.powi(2);
+        for curvature in &self.curvatures_pm {
+            if left <= 0.0 {
+                break;
+            }
+            let share = (curvature * left / grip).clamp(share_min, TURN_SHARE_MAX);
+            self.grip_bound_pm.push(share * grip / left);
+            left -= 2.0 * grip * (1.0 - share * share).sqrt() * self.grip_step_m;
+        }
+        self.hold_first(request);
+    }
+
+    /// A car on the limit of the friction circle may stay there for the first steps.
+    fn hold_first(&mut self, request: &SmoothRequest<'_>) {
+        let held = request.start_curvature_pm.unwrap_or(0.0).abs();
+        for bound in self.grip_bound_pm.iter_mut().take(2) {
+            *bound = bound.max(held);
+        }
+    }
+
     /// Checks the sampled curve against every limit.
     fn verify<F: ClearanceField>(
         &self,
         task: &Task<'_, F>,
+        strictness: Strictness,
         stats: &mut SmoothStats,
     ) -> Result<(), (SmoothError, Mend)> {
         let limit_pm = task.request.curvature_limit_pm;
@@ -466,7 +561,8 @@ impl Smoother {
             .max_by(|a, b| a.curvature_pm.abs().total_cmp(&b.curvature_pm.abs()));
         let tightest = tightest.expect("a path has samples");
         stats.curvature_max_pm = tightest.curvature_pm.abs();
-        if !(stats.curvature_max_pm <= limit_pm * (1.0 + CURVATURE_TOLERANCE)) {
+        let most = limit_pm * (1.0 + CURVATURE_TOLERANCE);
+        if stats.curvature_max_pm.is_nan() || stats.curvature_max_pm > most {
             let error = SmoothError::TooTight {
                 s_m: tightest.s_m,
                 curvature_pm: stats.curvature_max_pm,
@@ -479,7 +575,7 @@ impl Smoother {
         let mut nearest = None;
         for p in &self.path.points {
             let (clearance_m, keep_m) =
-                (task.field.clearance_m(p.position), task.must_keep_m(p.s_m));
+                (task.field.clearance_m(p.position), task.must_keep_m(p.s_m, strictness));
             if clearance_m - keep_m < stats.clearance_slack_m {
                 stats.clearance_slack_m = clearance_m - keep_m;
                 nearest = Some(SmoothError::TooNear { s_m: p.s_m, clearance_m, keep_m });
@@ -512,13 +608,13 @@ impl Smoother {
     }
 
     /// Takes what the curve lacks in clearance off the bubbles of the control points around.
-    fn shrink_where_near<F: ClearanceField>(&mut self, task: &Task<'_, F>) {
+    fn shrink_where_near<F: ClearanceField>(&mut self, task: &Task<'_, F>, strictness: Strictness) {
         let samples = self.path.points.len() - 1;
         let per_piece = samples / self.spline.pieces();
         self.lack_m.clear();
         self.lack_m.resize(self.shrink_m.len(), 0.0);
         for (i, p) in self.path.points.iter().enumerate() {
-            let lack = task.must_keep_m(p.s_m) - task.field.clearance_m(p.position);
+            let lack = task.must_keep_m(p.s_m, strictness) - task.field.clearance_m(p.position);
             if lack > 0.0 {
                 let k = i / per_piece;
                 for j in k.saturating_sub(1)..=(k + 2).min(self.lack_m.len() - 1) {
@@ -530,6 +626,13 @@ impl Smoother {
             *shrink += lack;
         }
     }
+}
+
+/// Factor on the step of the next program, from the lengths of the last two references (none for
+/// the guide's, which says nothing). Where the turning radius decides the length, a step too long
+/// makes the next result too short, and so on: the mean of the two ends that.
+fn steady(before_m: Option<f64>, length_m: f64) -> f64 {
+    before_m.map_or(1.0, |before_m| (0.5 * (1.0 + before_m / length_m)).clamp(0.95, 1.05))
 }
 
 /// What to change after a failed check.

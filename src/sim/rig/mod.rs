@@ -191,7 +191,7 @@ impl Rig {
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
         self.start_when_ready();
         self.judge_outcome(verdict.contact);
-        if self.steps % TRACE_STEPS == 0 && self.started.is_some() {
+        if self.steps.is_multiple_of(TRACE_STEPS) && self.started.is_some() {
             self.trace.samples.push(self.sample());
         }
     }
@@ -296,7 +296,7 @@ impl Rig {
     fn start_when_ready(&mut self) {
         let Some(goal) = self.goal else { return };
         if self.core.mode() == Mode::Disarmed
-            && self.steps % 50 == 0
+            && self.steps.is_multiple_of(50)
             && self.core.handle_command(self.now, Command::Arm).is_ok()
             && self.core.handle_command(self.now, Command::Goto(goal)).is_ok()
         {
