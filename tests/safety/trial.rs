@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use apexd::autopilot::CoreParams;
 use apexd::frames::{Point, Pose};
+use apexd::guard::GuardParams;
 use apexd::plan::{Planner, PlannerParams, Planning, Policy};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
 use apexd::sim::faults::{Cut, FaultPlan, FrameFault, Harm};
@@ -33,6 +34,7 @@ pub struct Trial {
     pub latency_s: f64,
     pub time_limit_s: Option<f64>,
     pub faults: FaultPlan,
+    pub guard: GuardParams,
     pub seed: u64,
 }
 
@@ -57,6 +59,7 @@ impl Trial {
             latency_s: 0.02,
             time_limit_s: None,
             faults: FaultPlan::default(),
+            guard: GuardParams::default(),
             seed: 1,
         }
     }
@@ -165,7 +168,11 @@ impl Trial {
             world: self.world.clone(),
             start: self.start,
             goal: Some(self.goal),
-            core: CoreParams { speed: planner.speed.clone(), ..CoreParams::default() },
+            core: CoreParams {
+                speed: planner.speed.clone(),
+                guard: self.guard.clone(),
+                ..CoreParams::default()
+            },
             planner,
             predict: PredictParams::default(),
             bus: Default::default(),
