@@ -13,7 +13,7 @@
 use super::bubbles::ClearanceField;
 use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
-    clear_length_m, last_escapable,
+    clear_length_m, last_escapable, last_turnable,
 };
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
@@ -24,7 +24,7 @@ use super::smooth::{SmoothParams, SmoothRequest, Smoother};
 use super::speed::{End, SpeedLimits, SpeedParams, SpeedProfiler, SpeedTask};
 use super::{Path, PathPoint, Trajectory};
 use crate::frames::{Point, Pose};
-use crate::map::{Blocking, Clearance, DistanceField, FrontierFinder};
+use crate::map::{Blocking, Clearance, DistanceField, FrontierFinder, Grid};
 use crate::predict::{OccupancyView, Predictor, Scene};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
@@ -374,18 +374,42 @@ impl Planner {
         };
         times.predict += predict;
         times.search += lap.take(&self.clock).saturating_sub(predict);
-        found.map_err(|error| match error {
+        let mut guide = found.map_err(|error| match error {
             SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }
                 if self.params.plan.policy != Policy::Frontier =>
             {
                 GuideFailure::Unreachable
             }
             _ => GuideFailure::Nothing,
-        })
+        })?;
+        self.keep_off_walls(grid, &mut guide);
+        Ok(guide)
     }
 }
 
 impl Planner {
+    /// Moves the guide's points that are nearer to a wall than shapes may be, by the part of a cell
+    /// that is missing: cell centres are as near as the certificate allows at the least, and where
+    /// shapes and manoeuvres ask for a little more, a way along a wall would lead nowhere.
+    fn keep_off_walls(&self, grid: &Grid, guide: &mut Guide) {
+        const SPARE_M: f64 = 0.015;
+        let keep_m = self.keep_m() + SHAPE_SLACK_M;
+        let field = ShapeField {
+            occupied: Clearance::new(grid, &self.occupied),
+            blocked: Clearance::new(grid, &self.blocked),
+            unknown_floor_m: keep_m + self.params.plan.unknown_room_m,
+        };
+        for p in guide.points.iter_mut().skip(1) {
+            let clearance_m = field.clearance_m(*p);
+            if clearance_m < keep_m + SPARE_M {
+                let moved = *p + field.away(*p) * (keep_m + SPARE_M - clearance_m);
+                if field.clearance_m(moved) > clearance_m {
+                    *p = moved;
+                }
+            }
+        }
+    }
+
     /// The naive baseline: to the frontier whose centroid is nearest to the goal, through known
     /// space alone.
     fn frontier_guide(
@@ -617,7 +641,15 @@ impl Planner {
             };
             let turn_radius_m = self.params.vehicle.turn_radius_m;
             let rule = EscapeRule { radius_m: keep_m, turn_radius_m, surfaces };
-            last_escapable(&request.grid, &path.points, clear_m, &rule).unwrap_or(0.0)
+            let proven = EscapeRule { surfaces: Surfaces::OccupiedAndUnknown, ..rule };
+            let standing = request.committed.trajectory.at(request.takes_over).speed_mps <= 0.0;
+            last_turnable(&request.grid, &path.points, clear_m, &proven)
+                .filter(|s_m| *s_m >= SHORTEST_PLAN_M)
+                .or_else(|| {
+                    let weak = || last_escapable(&request.grid, &path.points, clear_m, &rule);
+                    standing.then(weak).flatten()
+                })
+                .unwrap_or(0.0)
         };
         times.certify += lap.take(&self.clock);
         self.finish(request, path, stop_m, times)
