@@ -177,7 +177,8 @@ fn check(drive: &Drive) {
     let only = std::env::var("ONLY").ok();
     let mut bad = vec![];
     for (policy, kind) in METHODS {
-        if only.as_ref().is_some_and(|o| !format!("{} {}", policy.name(), kind.name()).contains(o)) {
+        if only.as_ref().is_some_and(|o| !format!("{} {}", policy.name(), kind.name()).contains(o))
+        {
             continue;
         }
         let s = run(drive, &world, policy, kind);
