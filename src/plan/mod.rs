@@ -3,6 +3,7 @@
 
 pub mod bubbles;
 pub mod certify;
+mod impasse;
 mod path;
 mod planner;
 mod request;

@@ -13,8 +13,9 @@
 use super::bubbles::ClearanceField;
 use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
-    clear_length_m, last_escapable,
+    clear_length_m, last_escapable, last_turnable,
 };
+use super::impasse::Impasses;
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
     Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, Room, SearchError,
@@ -24,7 +25,7 @@ use super::smooth::{SmoothParams, SmoothRequest, Smoother};
 use super::speed::{End, SpeedLimits, SpeedParams, SpeedProfiler, SpeedTask};
 use super::{Path, PathPoint, Trajectory};
 use crate::frames::{Point, Pose};
-use crate::map::{Blocking, Clearance, DistanceField, FrontierFinder};
+use crate::map::{Blocking, Clearance, DistanceField, FrontierFinder, Grid};
 use crate::predict::{OccupancyView, Predictor, Scene};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
@@ -108,6 +109,7 @@ pub struct Planner {
     blocked: DistanceField,
     lethal: Vec<bool>,
     tight: Vec<bool>,
+    impasses: Impasses,
     guide: GuideSearch,
     manoeuvre: ManoeuvreSearch,
     frontiers: FrontierFinder,
@@ -175,6 +177,7 @@ impl Planner {
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, FIELD_CAP_M),
             lethal: Vec::new(),
             tight: Vec::new(),
+            impasses: Impasses::default(),
             guide: GuideSearch::new(),
             manoeuvre: ManoeuvreSearch::new(),
             frontiers: FrontierFinder::default(),
@@ -207,6 +210,7 @@ impl Planner {
         candidates: &mut u32,
     ) -> Verdict {
         let mut lap = Lap::new(&self.clock);
+        self.impasses.begin(request.goal.position, request.scan_pose.position);
         self.update_fields(request);
         times.field = lap.take(&self.clock);
         self.predictor.observe(&Scene {
@@ -223,16 +227,48 @@ impl Planner {
             return Verdict::Keep;
         }
         *candidates += 1;
-        let guide = match self.guide(request, &here, times) {
+        let mut found = self.guide(request, &here, times);
+        if found.is_err() && self.impasses.give_up(here.point.position) {
+            self.set_masks(request);
+            found = self.guide(request, &here, times);
+        }
+        let guide = match found {
             Ok(guide) => guide,
             Err(GuideFailure::Unreachable) => return Verdict::Unreachable,
             Err(GuideFailure::Nothing) => return Verdict::Rejected(Rejection::NothingToGain),
         };
-        let old = self.old_way(request, &guide);
+        let verdict = self.along_guide(request, branches, &guide, times, candidates);
+        match &verdict {
+            Verdict::Rejected(_) if here.speed_mps <= 0.0 => {
+                let blocked = Clearance::new(&request.grid, &self.blocked);
+                let keep_m = self.keep_m();
+                let ahead = guide.points.iter().skip(1);
+                let ahead = ahead.copied().find(|p| blocked.at_up_to(*p, keep_m) < keep_m);
+                const ONWARD_M: f64 = 1.0;
+                let from = here.point.position;
+                let onward = guide.points.iter().copied().find(|p| (p - from).norm() >= ONWARD_M);
+                self.impasses.record_failure(from, ahead, onward);
+            }
+            _ => self.impasses.record_progress(),
+        }
+        verdict
+    }
+
+    /// The first plan along the guide that passes every check.
+    fn along_guide(
+        &mut self,
+        request: &PlanRequest,
+        branches: Vec<Branch>,
+        guide: &Guide,
+        times: &mut StepTimes,
+        candidates: &mut u32,
+    ) -> Verdict {
+        let here = branches[0];
+        let old = self.old_way(request, guide);
         let mut rejection = Rejection::NothingToGain;
         let goes_on = old.as_ref().is_some_and(|old| old.follows.is_some());
-        if goes_on || !leaves_heading(here.pose(), &guide, self.params.manoeuvre.skip_turn_rad) {
-            let way = self.straight_on(request, &guide, old.as_ref());
+        if goes_on || !leaves_heading(here.pose(), guide, self.params.manoeuvre.skip_turn_rad) {
+            let way = self.straight_on(request, guide, old.as_ref());
             match self.shaped(request, &here, way, times) {
                 Ok(candidate) => match self.certified(request, &candidate, times) {
                     Ok(plan) => return Verdict::Plan(Box::new(plan)),
@@ -291,6 +327,11 @@ impl Planner {
         self.first = false;
         self.occupied.update(&request.grid, changed);
         self.blocked.update(&request.grid, changed);
+        self.set_masks(request);
+    }
+
+    /// Where the disc's centre may not be.
+    fn set_masks(&mut self, request: &PlanRequest) {
         // From a cell's centre to the nearest square is half a cell less than to its centre along
         // the axes (and up to 0.7 diagonally, which smoothing finds out).
         let resolution = request.grid.resolution_m();
@@ -299,6 +340,7 @@ impl Planner {
         self.lethal.extend(self.occupied.values().iter().map(|d| *d < least));
         self.tight.clear();
         self.tight.extend(self.blocked.values().iter().map(|d| *d < least));
+        self.impasses.mask(&request.grid, &self.tight, &mut self.lethal);
     }
 
     /// Clearance that the certificate asks for, metres.
@@ -374,18 +416,42 @@ impl Planner {
         };
         times.predict += predict;
         times.search += lap.take(&self.clock).saturating_sub(predict);
-        found.map_err(|error| match error {
+        let mut guide = found.map_err(|error| match error {
             SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }
                 if self.params.plan.policy != Policy::Frontier =>
             {
                 GuideFailure::Unreachable
             }
             _ => GuideFailure::Nothing,
-        })
+        })?;
+        self.keep_off_walls(grid, &mut guide);
+        Ok(guide)
     }
 }
 
 impl Planner {
+    /// Moves the guide's points that are nearer to a wall than shapes may be, by the part of a cell
+    /// that is missing: cell centres are as near as the certificate allows at the least, and where
+    /// shapes and manoeuvres ask for a little more, a way along a wall would lead nowhere.
+    fn keep_off_walls(&self, grid: &Grid, guide: &mut Guide) {
+        const SPARE_M: f64 = 0.02;
+        let keep_m = self.keep_m() + SHAPE_SLACK_M;
+        let field = ShapeField {
+            occupied: Clearance::new(grid, &self.occupied),
+            blocked: Clearance::new(grid, &self.blocked),
+            unknown_floor_m: keep_m + self.params.plan.unknown_room_m,
+        };
+        for p in guide.points.iter_mut().skip(1) {
+            let clearance_m = field.clearance_m(*p);
+            if clearance_m < keep_m + SPARE_M {
+                let moved = *p + field.away(*p) * (keep_m + SPARE_M - clearance_m);
+                if field.clearance_m(moved) > clearance_m {
+                    *p = moved;
+                }
+            }
+        }
+    }
+
     /// The naive baseline: to the frontier whose centroid is nearest to the goal, through known
     /// space alone.
     fn frontier_guide(
@@ -552,7 +618,10 @@ impl Planner {
             unknown_floor_m: keep_m + self.params.plan.unknown_room_m,
         };
         let vehicle = &self.params.vehicle;
-        let moving = branch.speed_mps > 0.0 || branch.s_m > 0.0;
+        // A car that stands may turn its wheels before it goes; what is joined to the committed path
+        // must continue its curvature.
+        let takes_over_m = request.committed.trajectory.at(request.takes_over).path.s_m;
+        let moving = branch.speed_mps > 0.0 || branch.s_m > takes_over_m;
         let end_radius_m = if way.reaches_goal {
             (request.goal.radius_m - self.params.plan.goal_depth_m).max(0.0)
         } else {
@@ -627,7 +696,14 @@ impl Planner {
             };
             let turn_radius_m = self.params.vehicle.turn_radius_m;
             let rule = EscapeRule { radius_m: keep_m, turn_radius_m, surfaces };
-            last_escapable(&request.grid, &path.points, clear_m, &rule).unwrap_or(0.0)
+            let proven = EscapeRule { surfaces: Surfaces::OccupiedAndUnknown, ..rule };
+            last_turnable(&request.grid, &path.points, clear_m, &proven)
+                .filter(|s_m| *s_m >= SHORTEST_PLAN_M)
+                .or_else(|| {
+                    let weak = || last_escapable(&request.grid, &path.points, clear_m, &rule);
+                    self.impasses.is_bold().then(weak).flatten()
+                })
+                .unwrap_or(0.0)
         };
         times.certify += lap.take(&self.clock);
         self.finish(request, path, stop_m, times)

@@ -99,6 +99,25 @@ pub fn last_escapable(
     path[..before].iter().rev().find(|p| escapes(p)).map(|p| p.s_m)
 }
 
+/// Like [`last_escapable`], for stops from which the car can turn round.
+pub fn last_turnable(
+    grid: &Grid,
+    path: &[PathPoint],
+    s_max_m: f64,
+    rule: &EscapeRule,
+) -> Option<f64> {
+    let turns = |p: &PathPoint| {
+        let pose = Pose { position: p.position, heading_rad: p.heading_rad };
+        turn_round(grid, pose, rule).is_some()
+    };
+    let end = at_distance(path, s_max_m)?;
+    if turns(&end) {
+        return Some(end.s_m);
+    }
+    let before = path.partition_point(|p| p.s_m < s_max_m);
+    path[..before].iter().rev().find(|p| turns(p)).map(|p| p.s_m)
+}
+
 /// Arcs that turn the car round without reverse gear, the whole way clear: onto the same axis
 /// facing back where that is possible (a sixth of a turn out, five sixths of a circle, a sixth
 /// back), or to a parallel one. `None` if none of them is clear from this pose.

@@ -17,6 +17,12 @@ use checks::Mend;
 use grip::{TURN_SHARE_MIN, TURN_SHARE_STEP};
 use guide::END_ROOM_M;
 
+/// A guide that leads into a place without room, or into a bend that cannot be driven, is followed
+/// up to there if that is at least this far: much changes before the car gets there. Nearer,
+/// another way is wanted.
+const LEAD_MIN_M: f64 = 0.8;
+/// A path ends this far before a place without room.
+const LEAD_GAP_M: f64 = 0.25;
 /// Samples of the finished path are at most this far apart.
 const SAMPLE_SPACING_M: f64 = 0.05;
 /// Limits are tightened from their exact values at the start to those with margin over this
@@ -131,7 +137,36 @@ impl<F: ClearanceField> Task<'_, F> {
 
 impl Smoother {
     /// A path along the guide, or why there is none.
+    ///
+    /// A path that stops short of a far place without room lets the car go and see, and so does
+    /// one along the first half of a guide that has no drivable shape as a whole.
+    ///
+    /// # Errors
+    /// If the request is unusable, there is no room, or no shape is found.
     pub fn smooth(
+        &mut self,
+        params: &SmoothParams,
+        field: &impl ClearanceField,
+        request: &SmoothRequest<'_>,
+    ) -> Result<Smoothed, SmoothError> {
+        let mut result = self.smooth_within(params, field, request);
+        let guide_m: f64 = request.guide.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+        let mut length_m = guide_m.min(params.horizon_m);
+        loop {
+            length_m = match result {
+                Err(SmoothError::Blocked { s_m, .. }) => (s_m - LEAD_GAP_M).min(0.9 * length_m),
+                Err(SmoothError::Infeasible(_)) => 0.5 * length_m,
+                done => return done,
+            };
+            if length_m < LEAD_MIN_M {
+                return result;
+            }
+            let nearer = SmoothParams { horizon_m: length_m, ..params.clone() };
+            result = self.smooth_within(&nearer, field, request);
+        }
+    }
+
+    fn smooth_within(
         &mut self,
         params: &SmoothParams,
         field: &impl ClearanceField,
