@@ -44,11 +44,29 @@ fn smoke() {
         let mut rig = Rig::new(setup).unwrap();
         rig.keep_reports();
         let mut worst: f64 = 0.0;
+        let mut errs = String::new();
         let mut times = vec![apexd::plan::StepTimes::default(); 0];
         let mut rej = std::collections::BTreeMap::<String, usize>::new();
         let t1 = std::time::Instant::now();
         rig.drive(|rig| {
             worst = worst.max(rig.core().tracking_error().lateral_m.abs());
+            if rig.now().as_nanos() % 10_000_000 == 0 {
+                use std::fmt::Write;
+                let e = rig.core().tracking_error();
+                let c = rig.core().committed().at(rig.now());
+                writeln!(
+                    errs,
+                    "{:.3},{:.4},{:.4},{:.4},{:.3},{:.3},{:.3}",
+                    rig.now().as_secs_f64(),
+                    e.along_m,
+                    e.lateral_m,
+                    e.speed_mps,
+                    c.speed_mps,
+                    rig.car().speed_mps,
+                    rig.core().committed().current().trajectory.last().path.s_m - c.path.s_m
+                )
+                .unwrap();
+            }
             for (_, r) in rig.take_reports() {
                 times.push(r.times);
             }
@@ -64,11 +82,32 @@ fn smoke() {
         });
         let s = rig.summary(t1.elapsed().as_secs_f64());
         eprintln!("seed {seed} {}", serde_json::to_string(&s).unwrap());
+        if let Ok(dir) = std::env::var("DUMP") {
+            use std::fmt::Write;
+            let mut t = String::new();
+            for p in &rig.trace().samples {
+                writeln!(
+                    t,
+                    "{},{},{},{},{},{}",
+                    p.t_s,
+                    p.pose.position.x,
+                    p.pose.position.y,
+                    p.speed_mps,
+                    p.longitudinal_n,
+                    p.lateral_n
+                )
+                .unwrap();
+            }
+            std::fs::write(format!("{dir}/errs.csv"), &errs).unwrap();
+            std::fs::write(format!("{dir}/trace.csv"), t).unwrap();
+            apexd::mapfile::save(format!("{dir}/maze.yaml"), &maze.to_map_file()).unwrap();
+        }
         eprintln!("  track {:.4} stats {:?}", worst, {
             let mut st = rig.core().statistics().clone();
             st.plan_ages.clear();
             st
         });
+        eprintln!("  guard {:?}", rig.core().guard_counts());
         for (k, v) in rej {
             eprintln!("   {v:4} {k}");
         }

@@ -62,6 +62,17 @@ impl Committed {
         self.next = None;
     }
 
+    /// Shifts everything that is decided by `seconds` (positive: later). Same path, same speed at
+    /// each place.
+    pub fn retime(&mut self, seconds: f64) {
+        let shift = |plan: &mut Arc<Plan>| {
+            let trajectory = &mut Arc::make_mut(plan).trajectory;
+            trajectory.start = trajectory.start.offset_by(seconds);
+        };
+        shift(&mut self.current);
+        self.next.iter_mut().for_each(shift);
+    }
+
     /// Forgets the pending plan.
     pub fn drop_next(&mut self) {
         self.next = None;

@@ -22,12 +22,12 @@ pub use mode::Mode;
 use crate::command::{CarStatus, ForceSetpoint};
 use crate::control::{ControlParams, Tracker, TrackingError, braking_tail};
 use crate::frames::Pose;
-use crate::guard::{Guard, GuardParams};
+use crate::guard::{Guard, GuardCounts, GuardParams};
 use crate::localize::{ClockMap, Localizer};
 use crate::map::{CellRect, Grid, MapParams, Mapper};
 use crate::plan::certify::{CertifyParams, recertify};
 use crate::plan::speed::{SpeedLimits, SpeedParams};
-use crate::plan::{Goal, Plan, PlanRequest, StepReport, Verdict, shorten};
+use crate::plan::{Goal, Path, Plan, PlanRequest, StepReport, Verdict, shorten};
 use crate::scan::Scan;
 use crate::time::Instant;
 use crate::tunables;
@@ -76,6 +76,10 @@ pub struct CoreParams {
 
 /// Below this speed the car counts as standing, m/s.
 const REST_SPEED_MPS: f64 = 0.02;
+/// Plans are shifted in time to meet the car only above this speed, m/s.
+const RETIME_SPEED_MIN_MPS: f64 = 0.3;
+/// Largest shift at once, seconds: the period of a 20 Hz lidar.
+const RETIME_MAX_S: f64 = 0.05;
 /// Heartbeats are sent this often, seconds.
 const HEARTBEAT_PERIOD_S: f64 = 0.1;
 
@@ -208,6 +212,11 @@ impl Autopilot {
         self.decoder.stats()
     }
 
+    /// What the guard has done.
+    pub const fn guard_counts(&self) -> &GuardCounts {
+        self.guard.counts()
+    }
+
     /// How far the car was off its plan at the latest tick.
     pub const fn tracking_error(&self) -> &TrackingError {
         &self.last_error
@@ -295,6 +304,7 @@ impl Autopilot {
                     self.statistics.plans_stale += 1;
                 }
             }
+            Verdict::Keep => self.last_adopted = now,
             Verdict::Rejected(rejection) => {
                 self.statistics.plans_rejected += 1;
                 self.events.push_back(Event::PlanRejected { number: report.number, rejection });
@@ -442,6 +452,7 @@ impl Autopilot {
         if self.decisive_action().is_some() {
             return;
         }
+        self.catch_up_with_car(now);
         let number = self.take_number();
         self.in_flight = Some(number);
         self.job = Some(PlanRequest {
@@ -454,6 +465,23 @@ impl Autopilot {
             takes_over: now.offset_by(self.params.autopilot.plan_budget_s),
             goal,
         });
+    }
+
+    /// The committed plan is a path with a speed for each place; its clock is ours to set. A car
+    /// that is a few centimetres late (or early) gets its plan shifted in time rather than being
+    /// chased: in bends there is no grip left for catching up.
+    fn catch_up_with_car(&mut self, now: Instant) {
+        let current = &self.committed.current().trajectory;
+        let wanted = current.at(now);
+        let along_m = self.last_error.along_m;
+        let too_slow = wanted.speed_mps < RETIME_SPEED_MIN_MPS;
+        if too_slow || along_m == 0.0 || self.mode != Mode::Drive || current.start > now {
+            return;
+        }
+        let there = current.at_distance(wanted.path.s_m + along_m);
+        let late_s = (wanted.t_s - there.t_s).clamp(-RETIME_MAX_S, RETIME_MAX_S);
+        self.committed.retime(late_s);
+        self.last_error.along_m = 0.0;
     }
 
     /// A beam ended in space that was known to be free: looks at the plan under way again, and
@@ -477,7 +505,12 @@ impl Autopilot {
                 let number = self.take_number();
                 let scan_stamp = self.committed.current().scan_stamp;
                 self.events.push_back(Event::PlanShortened { at: now, number });
-                self.committed.replace(Plan { number, scan_stamp, trajectory, beyond: Vec::new() });
+                self.committed.replace(Plan {
+                    number,
+                    scan_stamp,
+                    trajectory,
+                    beyond: Path::default(),
+                });
                 self.next_tail = now;
             }
             None => self.raise(now, Fault::PathBlocked),

@@ -17,7 +17,7 @@ use super::certify::{
 };
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
-    Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, MaskRoom, SearchError,
+    Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, Room, SearchError,
     SearchParams, SearchQuery, Terrain,
 };
 use super::smooth::{SmoothParams, SmoothRequest, Smoother};
@@ -84,6 +84,18 @@ pub type Stopwatch = Box<dyn Fn() -> Duration + Send>;
 const FIELD_CAP_M: f64 = 1.5;
 /// Below this speed a car with the default tyres takes any bend the steering can.
 const TURN_SPEED_SHARE: f64 = 0.9;
+/// Samples of a path are no closer than this, metres.
+const SHORTEST_EDGE_M: f64 = 1e-3;
+/// A new path changes over from the committed one to the guide within this, metres and seconds.
+const BLEND_LEAST_M: f64 = 1.5;
+const BLEND_S: f64 = 0.8;
+/// Walls thinner than this may be looked through when ways are compared, metres.
+const SIGHT_M: f64 = 0.05;
+/// An old path shorter than this says nothing about the way, metres.
+const OLD_WAY_LEAST_M: f64 = 0.3;
+/// Shapes keep this much more clearance than the certificate asks for: it measures chords and their
+/// bulge where smoothing looks at samples.
+const SHAPE_SLACK_M: f64 = 0.005;
 /// A plan whose executable part is shorter than this is no progress.
 pub const SHORTEST_PLAN_M: f64 = 0.02;
 
@@ -205,18 +217,69 @@ impl Planner {
         });
         times.predict = lap.take(&self.clock);
 
+        let branches = self.branches(request);
+        let here = branches[0];
+        if self.nearly_there(request, &here) {
+            return Verdict::Keep;
+        }
+        *candidates += 1;
+        let guide = match self.guide(request, &here, times) {
+            Ok(guide) => guide,
+            Err(GuideFailure::Unreachable) => return Verdict::Unreachable,
+            Err(GuideFailure::Nothing) => return Verdict::Rejected(Rejection::NothingToGain),
+        };
+        let old = self.old_way(request, &guide);
         let mut rejection = Rejection::NothingToGain;
-        for branch in self.branches(request) {
+        let goes_on = old.as_ref().is_some_and(|old| old.follows.is_some());
+        if goes_on || !leaves_heading(here.pose(), &guide, self.params.manoeuvre.skip_turn_rad) {
+            let way = self.straight_on(request, &guide, old.as_ref());
+            match self.shaped(request, &here, way, times) {
+                Ok(candidate) => match self.certified(request, &candidate, times) {
+                    Ok(plan) => return Verdict::Plan(Box::new(plan)),
+                    Err(reason) => rejection = reason,
+                },
+                Err(reason) => rejection = reason,
+            }
+        }
+        // The way leads on as before: drive the old path, as far as it is clear by now.
+        if let Some(old) = old.filter(|old| old.agrees) {
             *candidates += 1;
-            let guide = match self.guide(request, &branch, times) {
-                Ok(guide) => guide,
-                Err(GuideFailure::Unreachable) => return Verdict::Unreachable,
-                Err(GuideFailure::Nothing) => continue,
+            if let Ok(plan) = self.certified(request, &old.candidate, times) {
+                return Verdict::Plan(Box::new(plan));
+            }
+        }
+        if goes_on && here.speed_mps > 0.0 {
+            return Verdict::Rejected(rejection);
+        }
+        // It leads elsewhere: turn off at once, at turning speed, or where the old plan stops,
+        // whichever is fastest.
+        let mut turns = Vec::new();
+        for branch in branches {
+            *candidates += 1;
+            let way = if branch.s_m == here.s_m {
+                Ok(guide.clone())
+            } else {
+                self.guide(request, &branch, times)
             };
-            match self.along(request, &branch, &guide, times) {
+            let turn = way
+                .map_err(|_| Rejection::NothingToGain)
+                .and_then(|guide| self.with_manoeuvre(request, &branch, &guide, times))
+                .and_then(|way| self.shaped(request, &branch, way, times));
+            match turn {
+                Ok(candidate) => {
+                    if let Some(cost_s) = self.cost_s(request, &candidate) {
+                        turns.push((cost_s, candidate));
+                    }
+                }
+                Err(reason) if rejection == Rejection::NothingToGain => rejection = reason,
+                Err(_) => {}
+            }
+        }
+        turns.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (_, candidate) in &turns {
+            match self.certified(request, candidate, times) {
                 Ok(plan) => return Verdict::Plan(Box::new(plan)),
-                // What keeps the first branch from working says most.
-                Err(reason) if *candidates == 1 => rejection = reason,
+                Err(reason) if rejection == Rejection::NothingToGain => rejection = reason,
                 Err(_) => {}
             }
         }
@@ -356,58 +419,74 @@ impl Planner {
         Err(last)
     }
 
-    /// A certified plan that leaves the committed one at `branch` and follows `guide`.
-    fn along(
+    /// Whether the committed plan ends in the goal disc soon: nothing is left to gain then.
+    fn nearly_there(&self, request: &PlanRequest, here: &Branch) -> bool {
+        const SOON_M: f64 = 3.0;
+        let stop = request.committed.trajectory.last().path;
+        let inside = (stop.position - request.goal.position).norm() <= request.goal.radius_m;
+        inside && stop.s_m - here.s_m < SOON_M
+    }
+
+    /// The committed path carried on into its imagined part, from the take-over on, and whether
+    /// the guide still goes the same way.
+    fn old_way(&self, request: &PlanRequest, guide: &Guide) -> Option<OldWay> {
+        let plan = &request.committed;
+        let start = plan.trajectory.at(request.takes_over).path;
+        let stop = plan.trajectory.last().path;
+        let known = plan.trajectory.points.iter().map(|p| p.path);
+        let mut path = rest_of(known.chain(plan.beyond.points.iter().copied()), start)?;
+        let clearance = Clearance::new(&request.grid, &self.occupied);
+        // What has turned out to be in the way since.
+        let keep_m = self.keep_m();
+        let blocked =
+            path.points.iter().position(|p| clearance.at_up_to(p.position, keep_m) < keep_m);
+        if let Some(first) = blocked {
+            path.points.truncate(first);
+        }
+        let length_m = path.length_m();
+        if path.points.len() < 2 || length_m < OLD_WAY_LEAST_M {
+            return None;
+        }
+        let blend_m = BLEND_LEAST_M + BLEND_S * plan.trajectory.at(request.takes_over).speed_mps;
+        let sees = |a, b| clearance.segment(a, b, SIGHT_M) > 0.0;
+        let follows = same_way(&path, &guide.points, blend_m, sees);
+        let reaches_goal = blocked.is_none()
+            && path.points.last().is_some_and(|p| {
+                (p.position - request.goal.position).norm() <= request.goal.radius_m
+            });
+        let leads_on = length_m > stop.s_m - start.s_m + SHORTEST_PLAN_M;
+        let rest_m = (guide.length_m - length_m).max(0.0);
+        let candidate = Candidate { path, reaches_goal, rest_m };
+        let agrees = follows.is_some() && (leads_on || reaches_goal);
+        Some(OldWay { candidate, agrees, follows })
+    }
+
+    /// The way for a car that is headed along the guide: the old path where that is still right
+    /// (smoothing then starts from a shape that is already good), the guide otherwise.
+    fn straight_on(&self, request: &PlanRequest, guide: &Guide, old: Option<&OldWay>) -> Way {
+        let reaches_goal = self.reaches_goal(request, guide);
+        match old {
+            Some(OldWay { follows: Some(fork), .. }) => {
+                let mut points = fork.blend.clone();
+                points.extend_from_slice(&guide.points[fork.guide + 1..]);
+                Way { points, warm: false, manoeuvre: None, reaches_goal }
+            }
+            _ => Way { points: guide.points.clone(), warm: false, manoeuvre: None, reaches_goal },
+        }
+    }
+
+    /// The guide with a start that the car can drive.
+    fn with_manoeuvre(
         &mut self,
         request: &PlanRequest,
         branch: &Branch,
         guide: &Guide,
         times: &mut StepTimes,
-    ) -> Result<Plan, Rejection> {
-        let mut lap = Lap::new(&self.clock);
-        let way = self.drivable_way(request, branch, guide);
-        times.manoeuvre += lap.take(&self.clock);
-        let way = way?;
-        let shaped = self.shape(request, branch, &way);
-        times.smooth += lap.take(&self.clock);
-        let (mut path, complete) = shaped?;
-        let committed = &request.committed.trajectory;
-        let takes_over = committed.at(request.takes_over);
-        if branch.s_m > takes_over.path.s_m {
-            path = join(committed, takes_over.path, branch, &path);
-        }
-        let reaches_goal = complete && way.reaches_goal && self.end_at_goal(request, &mut path);
-
-        let keep_m = self.keep_m();
-        let clear_m = clear_length_m(&request.grid, &path.points, keep_m);
-        let stop_m = if reaches_goal && clear_m >= path.length_m() {
-            clear_m
-        } else {
-            let surfaces = if self.params.plan.strict_escape {
-                Surfaces::OccupiedAndUnknown
-            } else {
-                Surfaces::Occupied
-            };
-            let turn_radius_m = self.params.vehicle.turn_radius_m;
-            let rule = EscapeRule { radius_m: keep_m, turn_radius_m, surfaces };
-            last_escapable(&request.grid, &path.points, clear_m, &rule).unwrap_or(0.0)
-        };
-        times.certify += lap.take(&self.clock);
-        self.finish(request, &path, stop_m, takes_over.speed_mps, times)
-    }
-
-    /// The guide with a start that the car can drive.
-    fn drivable_way(
-        &mut self,
-        request: &PlanRequest,
-        branch: &Branch,
-        guide: &Guide,
     ) -> Result<Way, Rejection> {
-        let grid = &request.grid;
-        let room = MaskRoom {
-            resolution_m: grid.resolution_m(),
-            bounds: grid.bounds(),
-            blocked: &self.tight,
+        let mut lap = Lap::new(&self.clock);
+        let room = ClearRoom {
+            clearance: Clearance::new(&request.grid, &self.blocked),
+            keep_m: self.keep_m() + SHAPE_SLACK_M,
         };
         let vehicle = &self.params.vehicle;
         let query = ManoeuvreQuery {
@@ -417,13 +496,14 @@ impl Planner {
             curvature_limit_pm: vehicle.curvature_limit_pm(),
             acceleration_limit_mps2: vehicle.acceleration_limit_mps2(),
         };
-        let reaches_goal = self.params.plan.policy != Policy::Frontier
-            || guide
-                .points
-                .last()
-                .is_some_and(|p| (p - request.goal.position).norm() <= request.goal.radius_m);
-        match self.manoeuvre.find(&room, &query, &self.params.manoeuvre) {
-            Ok(None) => Ok(Way { points: guide.points.clone(), manoeuvre: None, reaches_goal }),
+        let reaches_goal = self.reaches_goal(request, guide);
+        let found = self.manoeuvre.find(&room, &query, &self.params.manoeuvre);
+        times.manoeuvre += lap.take(&self.clock);
+        match found {
+            Ok(None) => {
+                let points = guide.points.clone();
+                Ok(Way { points, warm: false, manoeuvre: None, reaches_goal })
+            }
             Ok(Some(manoeuvre)) => {
                 let mut points: Vec<Point> =
                     manoeuvre.path.points.iter().map(|p| p.position).collect();
@@ -431,20 +511,31 @@ impl Planner {
                     points.extend_from_slice(&guide.points[joined + 1..]);
                 }
                 let reaches_goal = reaches_goal && manoeuvre.joins_at.is_some();
-                Ok(Way { points, manoeuvre: Some(manoeuvre.path), reaches_goal })
+                let manoeuvre = Some(with_transitions(&manoeuvre.path));
+                Ok(Way { points, warm: false, manoeuvre, reaches_goal })
             }
             Err(none) => Err(Rejection::Shape(none.to_string())),
         }
     }
 
-    /// The smoothed path from the branch point on, and whether it goes to the way's end.
-    fn shape(
+    fn reaches_goal(&self, request: &PlanRequest, guide: &Guide) -> bool {
+        self.params.plan.policy != Policy::Frontier
+            || guide
+                .points
+                .last()
+                .is_some_and(|p| (p - request.goal.position).norm() <= request.goal.radius_m)
+    }
+
+    /// The way smoothed from the branch point on, with the committed path up to there.
+    fn shaped(
         &mut self,
         request: &PlanRequest,
         branch: &Branch,
-        way: &Way,
-    ) -> Result<(Path, bool), Rejection> {
-        let keep_m = self.keep_m();
+        way: Way,
+        times: &mut StepTimes,
+    ) -> Result<Candidate, Rejection> {
+        let mut lap = Lap::new(&self.clock);
+        let keep_m = self.keep_m() + SHAPE_SLACK_M;
         let field = ShapeField {
             occupied: Clearance::new(&request.grid, &self.occupied),
             blocked: Clearance::new(&request.grid, &self.blocked),
@@ -462,7 +553,7 @@ impl Planner {
             &field,
             &SmoothRequest {
                 guide: &way.points,
-                warm: false,
+                warm: way.warm,
                 start: branch.pose(),
                 start_curvature_pm: moving.then_some(branch.point.curvature_pm),
                 start_speed_mps: branch.speed_mps,
@@ -474,12 +565,62 @@ impl Planner {
                 speed_max_mps: self.params.speed.speed_max_mps,
             },
         );
-        match (smoothed, &way.manoeuvre) {
-            (Ok(smoothed), _) => Ok((smoothed.path, smoothed.complete)),
+        let (mut path, complete) = match (smoothed, way.manoeuvre) {
+            (Ok(smoothed), _) => (smoothed.path, smoothed.complete),
             // The manoeuvre can be driven as it is.
-            (Err(_), Some(manoeuvre)) => Ok((manoeuvre.clone(), false)),
-            (Err(error), None) => Err(Rejection::Shape(error.to_string())),
+            (Err(_), Some(manoeuvre)) => (manoeuvre, false),
+            (Err(error), None) => {
+                times.smooth += lap.take(&self.clock);
+                return Err(Rejection::Shape(error.to_string()));
+            }
+        };
+        let way_m: f64 = way.points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+        let rest_m = (way_m - path.length_m()).max(0.0);
+        let committed = &request.committed.trajectory;
+        let takes_over = committed.at(request.takes_over).path;
+        if branch.s_m > takes_over.s_m {
+            path = join(committed, takes_over, branch, &path);
         }
+        let reaches_goal = complete && way.reaches_goal && self.end_at_goal(request, &mut path);
+        times.smooth += lap.take(&self.clock);
+        Ok(Candidate { path, reaches_goal, rest_m })
+    }
+
+    /// Seconds to the end of the imagined way, if the car can drive it from its present speed.
+    fn cost_s(&mut self, request: &PlanRequest, candidate: &Candidate) -> Option<f64> {
+        let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
+        let start_speed_mps = request.committed.trajectory.at(request.takes_over).speed_mps;
+        let speed_max_mps = limits.speed_max_mps;
+        let task = SpeedTask { start_speed_mps, end: End::Speed(speed_max_mps), caps_mps: None };
+        let driven_s = self.profiler.travel_time_s(&candidate.path.points, &limits, &task).ok()?;
+        Some(driven_s + candidate.rest_m / speed_max_mps)
+    }
+
+    /// The candidate's executable part with speeds and certificate.
+    fn certified(
+        &mut self,
+        request: &PlanRequest,
+        candidate: &Candidate,
+        times: &mut StepTimes,
+    ) -> Result<Plan, Rejection> {
+        let mut lap = Lap::new(&self.clock);
+        let path = &candidate.path;
+        let keep_m = self.keep_m();
+        let clear_m = clear_length_m(&request.grid, &path.points, keep_m);
+        let stop_m = if candidate.reaches_goal && clear_m >= path.length_m() {
+            clear_m
+        } else {
+            let surfaces = if self.params.plan.strict_escape {
+                Surfaces::OccupiedAndUnknown
+            } else {
+                Surfaces::Occupied
+            };
+            let turn_radius_m = self.params.vehicle.turn_radius_m;
+            let rule = EscapeRule { radius_m: keep_m, turn_radius_m, surfaces };
+            last_escapable(&request.grid, &path.points, clear_m, &rule).unwrap_or(0.0)
+        };
+        times.certify += lap.take(&self.clock);
+        self.finish(request, path, stop_m, times)
     }
 
     /// Ends the path inside the goal disc; says whether it gets there.
@@ -506,7 +647,6 @@ impl Planner {
         request: &PlanRequest,
         path: &Path,
         stop_m: f64,
-        start_speed_mps: f64,
         times: &mut StepTimes,
     ) -> Result<Plan, Rejection> {
         let mut lap = Lap::new(&self.clock);
@@ -516,6 +656,8 @@ impl Planner {
         let mut executable = path.clone();
         executable.cut(stop_m);
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
+        let taken_over = request.committed.trajectory.at(request.takes_over);
+        let start_speed_mps = taken_over.speed_mps;
         let task = SpeedTask { start_speed_mps, end: End::Rest, caps_mps: None };
         let mut points = Vec::new();
         self.profiler
@@ -523,7 +665,6 @@ impl Planner {
             .map_err(|error| Rejection::Speed(error.to_string()))?;
         times.speed += lap.take(&self.clock);
         let trajectory = Trajectory { start: request.takes_over, points };
-        let taken_over = request.committed.trajectory.at(request.takes_over);
         let p = &self.params;
         let limits = Limits::new(&p.certify, &p.vehicle, &p.speed);
         let passed = certify(&trajectory, &request.grid, &limits).and_then(|_| {
@@ -535,13 +676,9 @@ impl Planner {
         });
         times.certify += lap.take(&self.clock);
         passed.map_err(Rejection::Certificate)?;
-        let beyond = path
-            .points
-            .iter()
-            .filter(|point| point.s_m > stop_m)
-            .step_by(4)
-            .map(|point| point.position)
-            .collect();
+        let stop = trajectory.last().path.s_m;
+        let beyond = path.points.iter().filter(|p| p.s_m > stop + SHORTEST_EDGE_M).copied();
+        let beyond = Path { points: beyond.collect() };
         Ok(Plan { number: request.number, scan_stamp: request.scan_stamp, trajectory, beyond })
     }
 }
@@ -552,27 +689,158 @@ impl Branch {
     }
 }
 
-/// The guide, made drivable at its start.
+/// What is to be smoothed.
 struct Way {
     points: Vec<Point>,
+    /// The points are an earlier shape.
+    warm: bool,
+    /// The drivable start, in case smoothing finds nothing.
     manoeuvre: Option<Path>,
     reaches_goal: bool,
 }
 
+/// A path from the take-over on.
+struct Candidate {
+    path: Path,
+    reaches_goal: bool,
+    /// Length of the way beyond the path's end, metres.
+    rest_m: f64,
+}
+
+/// The path that is being driven, with its imagined part.
+struct OldWay {
+    candidate: Candidate,
+    /// The guide goes the same way at first, and there is more of the old path than its
+    /// executable part.
+    agrees: bool,
+    /// How far the guide goes the same way, if it does so for more than the first metres.
+    follows: Option<Fork>,
+}
+
+/// Where a guide leaves a path.
+#[derive(Clone, Debug, PartialEq)]
+struct Fork {
+    /// The last point of the guide that is near the path.
+    guide: usize,
+    /// A line that leads from the path over to the guide up to there.
+    blend: Vec<Point>,
+}
+
+struct ClearRoom<'a> {
+    clearance: Clearance<'a>,
+    keep_m: f64,
+}
+
+impl Room for ClearRoom<'_> {
+    fn fits(&self, centre: Point) -> bool {
+        self.clearance.at_up_to(centre, self.keep_m) >= self.keep_m
+    }
+}
+
+/// Whether the guide starts out in another direction than the car.
+fn leaves_heading(pose: Pose, guide: &Guide, skip_turn_rad: f64) -> bool {
+    const LOOK_M: f64 = 1.0;
+    const TOO_NEAR_M: f64 = 0.3;
+    let from = |p: &&Point| (**p - pose.position).norm();
+    let ahead = guide.points.iter().find(|p| from(p) >= LOOK_M).or(guide.points.last());
+    ahead.filter(|p| from(p) >= TOO_NEAR_M).is_some_and(|p| {
+        let body = pose.to_body(*p);
+        body.y.atan2(body.x).abs() > skip_turn_rad
+    })
+}
+
+/// How far a guide goes the same way as a path from the same start: within one hallway's width, and
+/// nothing in between (`sees`). `None` if they part within the first metres. The blend changes over
+/// from the path to the guide within `blend_m`.
+fn same_way(
+    path: &Path,
+    guide: &[Point],
+    blend_m: f64,
+    sees: impl Fn(Point, Point) -> bool,
+) -> Option<Fork> {
+    /// Guides are polylines pulled taut around corners, paths swing wide.
+    const APART_M: f64 = 1.2;
+    const AGREE_M: f64 = 2.0;
+    const LOOK_EVERY_M: f64 = 0.25;
+    let points = &path.points;
+    let mut at = 0;
+    let (mut along_m, mut looked_m) = (0.0, 0.0);
+    let mut fork = Fork { guide: 0, blend: vec![points[0].position] };
+    for (i, p) in guide.iter().enumerate().skip(1) {
+        along_m += (p - guide[i - 1]).norm();
+        if along_m < looked_m + LOOK_EVERY_M && i + 1 < guide.len() {
+            continue;
+        }
+        looked_m = along_m;
+        let distance = |k: usize| (points[k].position - p).norm_squared();
+        // The nearest point of the path, never going back, looking a metre or two ahead.
+        let window = at..points.len().min(at + 40);
+        at = window.min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap_or(at);
+        if distance(at) > APART_M * APART_M || !sees(points[at].position, *p) {
+            return (along_m > AGREE_M).then_some(fork);
+        }
+        fork.guide = i;
+        let share = (along_m / blend_m).min(1.0);
+        let blended = points[at].position + (p - points[at].position) * share;
+        if fork.blend.last().is_none_or(|last| (blended - last).norm() > 0.1) {
+            fork.blend.push(blended);
+        }
+        if at + 1 == points.len() || share >= 1.0 {
+            break;
+        }
+    }
+    Some(fork)
+}
+
+/// The part of a path from a point on it on, arc length from zero; `None` if nothing is left.
+fn rest_of(points: impl Iterator<Item = PathPoint>, from: PathPoint) -> Option<Path> {
+    let mut rest = vec![PathPoint { s_m: 0.0, ..from }];
+    rest.extend(
+        points
+            .filter(|p| p.s_m > from.s_m + SHORTEST_EDGE_M)
+            .map(|p| PathPoint { s_m: p.s_m - from.s_m, ..p }),
+    );
+    (rest.len() > 1).then_some(Path { points: rest })
+}
+
 /// The committed path from `from` to the branch point, then `path`; arc length from zero.
 fn join(committed: &Trajectory, from: PathPoint, branch: &Branch, path: &Path) -> Path {
-    const SHORTEST_EDGE_M: f64 = 1e-3;
-    let between = committed
-        .points
-        .iter()
-        .map(|p| p.path)
-        .filter(|p| p.s_m > from.s_m + SHORTEST_EDGE_M && p.s_m < branch.s_m - SHORTEST_EDGE_M);
-    let rebased = |p: PathPoint| PathPoint { s_m: p.s_m - from.s_m, ..p };
-    let mut points = vec![rebased(from)];
-    points.extend(between.map(rebased));
+    let before = committed.points.iter().map(|p| p.path);
+    let before = before.filter(|p| p.s_m < branch.s_m - SHORTEST_EDGE_M);
+    let mut joined = rest_of(before, from)
+        .unwrap_or_else(|| Path { points: vec![PathPoint { s_m: 0.0, ..from }] });
     let length_m = branch.s_m - from.s_m;
-    points.extend(path.points.iter().map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
-    Path { points }
+    joined.points.extend(path.points.iter().map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
+    joined
+}
+
+/// Arcs of constant curvature, each sample with the curvature of the piece that follows it, as a
+/// path whose curvature changes linearly over two millimetres where pieces meet.
+fn with_transitions(arcs: &Path) -> Path {
+    const HALF_M: f64 = 1e-3;
+    let step = |p: &PathPoint, ds: f64, curvature_pm: f64| {
+        let pose = Pose { position: p.position, heading_rad: p.heading_rad };
+        let moved = pose.along_arc(ds, ds * curvature_pm);
+        PathPoint {
+            s_m: p.s_m + ds,
+            position: moved.position,
+            heading_rad: moved.heading_rad,
+            curvature_pm,
+        }
+    };
+    let points = &arcs.points;
+    let mut path = Path::default();
+    for (i, p) in points.iter().enumerate() {
+        let before = if i > 0 { points[i - 1].curvature_pm } else { p.curvature_pm };
+        let last = i + 1 == points.len();
+        if last || before == p.curvature_pm {
+            path.points.push(PathPoint { curvature_pm: before, ..*p });
+        } else {
+            path.points.push(step(p, -HALF_M, before));
+            path.points.push(step(p, HALF_M, p.curvature_pm));
+        }
+    }
+    path
 }
 
 /// Why there is no guide.

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::Trajectory;
 use super::certify::Violation;
+use super::{Path, Trajectory};
 use crate::frames::{Point, Pose};
 use crate::map::{CellRect, Grid};
 use crate::time::{Duration, Instant};
@@ -47,8 +47,9 @@ pub struct Plan {
     pub scan_stamp: Instant,
     /// The executable part: ends at rest inside known free space.
     pub trajectory: Trajectory,
-    /// The rest of the way to the goal as it is imagined now; never executed.
-    pub beyond: Vec<Point>,
+    /// How the path would go on beyond its end as things are imagined now, arc length continued;
+    /// never executed.
+    pub beyond: Path,
 }
 
 impl Plan {
@@ -58,7 +59,7 @@ impl Plan {
             number: 0,
             scan_stamp: now,
             trajectory: Trajectory::at_rest(now, pose),
-            beyond: Vec::new(),
+            beyond: Path::default(),
         }
     }
 }
@@ -81,6 +82,8 @@ pub enum Rejection {
 pub enum Verdict {
     /// A certified plan.
     Plan(Box<Plan>),
+    /// The committed plan already ends at the goal.
+    Keep,
     /// No plan this time; the committed one stays.
     Rejected(Rejection),
     /// Occupied space encloses the car or the goal: there is no way, whatever the unknown holds.
