@@ -120,7 +120,19 @@ impl<F: ClearanceField> Task<'_, F> {
         let hold = held.clamp(0.95, 1.0) * grip / energy;
         let left = energy - 2.0 * BRAKE_SHARE * grip * s_m;
         let braked = if left > 0.0 { TURN_SHARE * grip / left } else { f64::INFINITY };
-        turn.min(self.friction_share * hold.max(braked))
+        turn.min((self.friction_share * hold.max(braked)).max(self.held_pm(s_m)))
+    }
+
+    /// Curvature that the car's present way has at `s_m`, 1/m.
+    fn held_pm(&self, s_m: f64) -> f64 {
+        let held = self.request.held;
+        let next = held.partition_point(|(s, _)| *s < s_m);
+        match (next.checked_sub(1).and_then(|i| held.get(i)), held.get(next)) {
+            (Some((s0, k0)), Some((s1, k1))) => (k0 + (k1 - k0) * ((s_m - s0) / (s1 - s0))).abs(),
+            (None, Some((_, k))) => k.abs(),
+            // Where that way stops it asks for nothing.
+            _ => 0.0,
+        }
     }
 }
 

@@ -10,6 +10,7 @@ pub fn request<'a>(guide: &'a [Point], start: Pose) -> SmoothRequest<'a> {
         warm: false,
         start,
         start_curvature_pm: None,
+        held: &[],
         start_speed_mps: 0.0,
         end_radius_m: 0.0,
         radius_m: 0.25,
