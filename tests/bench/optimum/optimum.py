@@ -19,14 +19,13 @@ import numpy as np
 
 from world import World
 
-# Length of the straight end of the reference line, metres; shorter than from the last lattice
-# cell's edge to the goal, so that it lies in an open square.
-TAIL_M = 0.7
+# The end of the drive is not tied to a reference: this many nodes move freely in the open square
+# about the goal.
 TAIL_NODES = 14
 # The reference is renewed until the time changes less than this, relative.
 CONVERGED = 1e-4
 # The first reference needs no fine nodes.
-COARSE = 1.6
+COARSE = 2.5
 REFERENCES_MAX = 12
 
 
@@ -124,9 +123,12 @@ class Optimum:
     def stations(self, drive):
         """Arc lengths of the nodes on the reference: the start, every place where the clearance
         has a local minimum (that is where a path touches a corner), even steps in between, and
-        the beginning of the straight end."""
-        total = drive.s[-1]
-        end = total - TAIL_M
+        where the square about the goal is entered for good."""
+        s = np.arange(0.0, drive.s[-1], 0.005)
+        points = drive.at(s)[0]
+        x0, y0, x1, y1 = self.goal_box(0.05)
+        inside = (points[:, 0] > x0) & (points[:, 0] < x1) & (points[:, 1] > y0) & (points[:, 1] < y1)
+        end = s[np.nonzero(~inside)[0][-1] + 1]
         s = np.arange(0.0, end, 0.005)
         clearance = self.world.distance(drive.at(s)[0])
         dip = (clearance[1:-1] < clearance[:-2]) & (clearance[1:-1] <= clearance[2:])
@@ -180,8 +182,7 @@ class Optimum:
         s, points, psi0, normal, low, high, v0 = self.reference(drive)
         n, m = len(s), TAIL_NODES
         total = n + m
-        # Nodes of the tail move freely in a box: the largest one around the straight end.
-        tail_s = np.linspace(drive.s[-1] - TAIL_M, drive.s[-1], m + 1)[1:]
+        tail_s = np.linspace(s[-1], drive.s[-1], m + 1)[1:]
         tail_points, tail_psi, tail_v = drive.at(tail_s)
         box = self.goal_box()
 
@@ -226,7 +227,7 @@ class Optimum:
         v_low[0] = v_high[0] = v_low[-1] = v_high[-1] = 0.0
         if not shortest:
             chi_low[0] = chi_high[0] = 0.0
-        first_l, tail_l = np.diff(s), TAIL_M / m
+        first_l, tail_l = np.diff(s), (drive.s[-1] - s[-1]) / m
         lbx = [low, np.full(m, box[0]), np.full(m, box[1]), chi_low, v_low, 0.02 * first_l, [1e-3]]
         ubx = [high, np.full(m, box[2]), np.full(m, box[3]), chi_high, v_high, 8 * first_l, [0.3]]
         start = [np.zeros(n), tail_points[:, 0], tail_points[:, 1], np.zeros(total)]
@@ -263,11 +264,11 @@ class Optimum:
         self.success = stats["success"]
         return solution
 
-    def goal_box(self):
-        """The largest box about the goal's centre that keeps clear: where the drive may end."""
+    def goal_box(self, inset=0.0):
+        """An open square about the goal that holds the disc: x and y from, x and y to."""
         g = np.repeat(self.goal[None], 4, axis=0)
         way = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
-        reach = np.minimum(self.world.reach(g, way, self.keep, 1.2), 0.95)
+        reach = np.minimum(self.world.reach(g, way, self.keep, 1.2), 0.95) - inset
         return (
             self.goal[0] - reach[2],
             self.goal[1] - reach[3],
@@ -286,7 +287,7 @@ class Optimum:
                 # Other nodes after a failure: the solver then seldom fails again.
                 self.spacing = fine * (COARSE if turn == 0 else 0.94**failures)
                 better = self.solve(drive, near and failures == 0, shortest)
-                if not self.success and failures < 3:
+                if not self.success and turn > 0 and failures < 3:
                     failures += 1
                     continue
                 drive, near, failures = better, self.success, 0
