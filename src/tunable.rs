@@ -203,16 +203,22 @@ impl Field for String {
 /// `choices! { /// doc pub enum Penalty { /// doc Edge = "edge", /// doc Literal = "literal" } }`.
 #[macro_export]
 macro_rules! choices {
-    ($(#[$meta:meta])* pub enum $name:ident { $($(#[$vmeta:meta])* $variant:ident = $text:literal),+ $(,)? }) => {
+    ($(#[$meta:meta])* pub enum $name:ident { $($(#[doc = $doc:literal])* $variant:ident = $text:literal),+ $(,)? }) => {
         $(#[$meta])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        pub enum $name { $($(#[$vmeta])* $variant),+ }
+        pub enum $name { $($(#[doc = $doc])* $variant),+ }
         impl $name {
+            /// The values, in order of declaration.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
             /// The names, in order of declaration.
             pub const NAMES: &'static [&'static str] = &[$($text),+];
             /// The name in configuration files and on the command line.
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $text),+ }
+            }
+            /// What it stands for, in a sentence.
+            pub const fn text(self) -> &'static str {
+                match self { $(Self::$variant => concat!($($doc),*).trim_ascii()),+ }
             }
             /// The value of that name.
             pub fn from_name(name: &str) -> Option<Self> {
@@ -354,6 +360,15 @@ mod tests {
         assert_eq!(table[2].allowed, Allowed::Choice(&["square", "round"]));
         assert_eq!(Trial::default().get("path"), Some(Value::Text("here".into())));
         assert_eq!(table[2].change, Change::Restart);
+    }
+
+    #[test]
+    fn every_choice_has_a_name_that_leads_back_to_it_and_a_text() {
+        for shape in Shape::ALL {
+            assert_eq!(Shape::from_name(shape.name()), Some(*shape));
+        }
+        assert_eq!(Shape::ALL.iter().map(|shape| shape.name()).collect::<Vec<_>>(), Shape::NAMES);
+        assert_eq!(Shape::Square.text(), "Four corners.");
     }
 
     #[test]

@@ -17,6 +17,25 @@ fn smoke() {
         let mut planner = PlannerParams::default();
         planner.plan.policy = Policy::from_name(&get("POLICY", "map-predictive")).unwrap();
         planner.speed.speed_max_mps = get("VMAX", "4").parse().unwrap();
+        if let Ok(sets) = std::env::var("SET") {
+            for kv in sets.split(',') {
+                let (k, v) = kv.split_once('=').unwrap();
+                let v: f64 = v.parse().unwrap();
+                match k {
+                    "lw" => planner.smooth.length_weight = v,
+                    "passes" => planner.smooth.passes = v as u32,
+                    "bw" => planner.smooth.bubble_wanted_m = v,
+                    "bm" => planner.smooth.bubble_radius_max_m = v,
+                    "fu" => planner.speed.friction_use = v,
+                    "sp" => planner.smooth.spacing_m = v,
+                    "hz" => planner.smooth.horizon_m = v,
+                    "gd" => planner.plan.goal_depth_m = v,
+                    "ur" => planner.plan.unknown_room_m = v,
+                    "strict" => planner.plan.strict_escape = v > 0.0,
+                    _ => panic!("{k}"),
+                }
+            }
+        }
         let mut predict = apexd::predict::PredictParams::default();
         predict.kind = apexd::predict::PredictorKind::from_name(&get("PRED", "none")).unwrap();
         let core = CoreParams { speed: planner.speed.clone(), ..Default::default() };

@@ -7,6 +7,7 @@
 //! without holding anything up: the committed plan ends at rest in known free space anyway.
 
 mod committed;
+mod document;
 mod event;
 mod failsafe;
 mod mode;
@@ -15,6 +16,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 pub use committed::Committed;
+pub use document::markdown as failsafe_page;
 pub use event::{Command, Event, Refusal, Statistics};
 pub use failsafe::{Action, ActiveFaults, Clears, Fault, Row, TABLE};
 pub use mode::Mode;
@@ -488,10 +490,10 @@ impl Autopilot {
     /// shortens it if it no longer passes.
     fn certify_again(&mut self, now: Instant) {
         let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
-        if let Some(next) = self.committed.next() {
-            if recertify(&next.trajectory, 0.0, self.mapper.grid(), radius_m).is_err() {
-                self.committed.drop_next();
-            }
+        if let Some(next) = self.committed.next()
+            && recertify(&next.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
+        {
+            self.committed.drop_next();
         }
         let current = &self.committed.current().trajectory;
         let elapsed = now.seconds_after(current.start).max(0.0);

@@ -44,13 +44,16 @@ pub struct BubbleSizes {
     pub max_m: f64,
 }
 
-/// By how much a moved bubble may miss the point that it is for: moving straight away from a wall
-/// gains exactly the distance moved, less what the direction is off.
-const SLIP_M: f64 = 0.02;
+/// By how much a moved bubble may miss the point that it is for. Moving straight away from one wall
+/// gains exactly the distance moved; in a corner between two it gains less.
+const SLIP_M: f64 = 0.05;
+/// A bubble smaller than this holds its point to no purpose: then the largest one found is taken
+/// wherever it is.
+const USEFUL_M: f64 = 0.05;
 
 /// The bubble for the path point `p`: every point in it has at least `keep_m` of clearance.
 ///
-/// A moved bubble still holds `p` (within 2 cm) if `p` itself has that clearance.
+/// A moved bubble still holds `p`, within 5 cm, unless there is next to no room about `p` itself.
 pub fn bubble_at(
     field: &impl ClearanceField,
     p: Point,
@@ -67,11 +70,16 @@ pub fn bubble_at(
     if away == Vector::zeros() {
         return best;
     }
+    let mut largest = best;
     let mut consider = |shift: f64| {
         let centre = p + away * shift;
         let radius_m = (field.clearance_m(centre) - keep_m).min(sizes.max_m);
+        let bubble = Bubble { centre, radius_m };
         if radius_m > best.radius_m && (own < 0.0 || radius_m >= shift - SLIP_M) {
-            best = Bubble { centre, radius_m };
+            best = bubble;
+        }
+        if radius_m > largest.radius_m {
+            largest = bubble;
         }
         radius_m
     };
@@ -80,13 +88,12 @@ pub fn bubble_at(
     let full = wanted - own;
     let at_full = consider(full);
     if at_full < wanted - 1e-3 {
-        let peak = 0.5 * (at_full + full - own);
-        if peak > 1e-3 && peak < full {
-            consider(peak);
+        let peak = (0.5 * (at_full + full - own)).clamp(0.0, full);
+        for shift in [peak, 0.5 * peak, 0.25 * peak] {
+            consider(shift);
         }
-        consider(0.5 * peak.clamp(0.0, full));
     }
-    best
+    if best.radius_m < USEFUL_M { largest } else { best }
 }
 
 #[cfg(test)]
@@ -132,12 +139,29 @@ mod tests {
         for i in 0..=100 {
             let p = Point::new(0.0, 0.25 + 1.2 * f64::from(i) / 100.0);
             let bubble = bubble_at(&field, p, 0.25, &SIZES);
-            assert!((p - bubble.centre).norm() <= bubble.radius_m + 1e-9, "{p} {bubble:?}");
+            assert!(
+                (p - bubble.centre).norm() <= bubble.radius_m + SLIP_M + 1e-9,
+                "{p} {bubble:?}"
+            );
             for side in [-1.0, 1.0] {
                 let edge = bubble.centre + Vector::new(0.0, side * bubble.radius_m);
                 assert!(field.clearance_m(edge) >= 0.25 - 1e-9);
             }
         }
+    }
+
+    #[test]
+    fn in_a_corner_the_bubble_moves_out_of_it() {
+        struct Corner;
+        impl ClearanceField for Corner {
+            fn clearance_m(&self, p: Point) -> f64 {
+                p.x.min(p.y).max(0.0)
+            }
+        }
+        let bubble = bubble_at(&Corner, Point::new(0.251, 0.2512), 0.25, &SIZES);
+        assert!(bubble.radius_m > 0.05, "{bubble:?}");
+        let low = bubble.centre - Vector::new(bubble.radius_m, bubble.radius_m);
+        assert!(low.x >= 0.25 - 1e-9 && low.y >= 0.25 - 1e-9);
     }
 
     #[test]

@@ -548,14 +548,6 @@ impl Planner {
         } else {
             0.0
         };
-        let held: Vec<(f64, f64)> = request
-            .committed
-            .trajectory
-            .points
-            .iter()
-            .filter(|p| p.path.s_m >= branch.s_m - 0.1)
-            .map(|p| (p.path.s_m - branch.s_m, p.path.curvature_pm))
-            .collect();
         let smoothed = self.smoother.smooth(
             &self.params.smooth,
             &field,
@@ -564,7 +556,6 @@ impl Planner {
                 warm: way.warm,
                 start: branch.pose(),
                 start_curvature_pm: moving.then_some(branch.point.curvature_pm),
-                held: &held,
                 start_speed_mps: branch.speed_mps,
                 end_radius_m,
                 radius_m: keep_m,

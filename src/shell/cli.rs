@@ -2,11 +2,18 @@
 
 use std::path::PathBuf;
 
-use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{ArgAction, Args, Parser, Subcommand};
 
-use super::sil::{Latency, SilRequest, WorldSource};
+use super::configuration::Flag;
+use super::sil::{SilRequest, WorldSource};
 use crate::frames::{Point, Pose};
 use crate::params::Params;
+use crate::plan::Policy;
+use crate::predict::PredictorKind;
+use crate::sim::maze::Family;
+use crate::sim::rig::Latency;
+use crate::tunable::{Field, Value};
 
 /// Drives an RC-scale car fast and safely through places it has never seen.
 ///
@@ -26,7 +33,7 @@ pub struct Cli {
 /// What the program can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Drive a simulated car to a goal, in virtual time.
+    /// Drive a simulated car to a goal.
     Sil(Box<SilArgs>),
     /// Write a maze as ROS map_server files.
     Maze(MazeArgs),
@@ -43,7 +50,12 @@ pub struct SilArgs {
     #[arg(long, value_name = "SEED", default_value_t = 1, help_heading = "World")]
     pub maze: u64,
     /// Kind of maze.
-    #[arg(long, value_enum, default_value_t = Family::Thin, help_heading = "World")]
+    #[arg(
+        long,
+        value_parser = family(),
+        default_value = Family::Thin.name(),
+        help_heading = "World"
+    )]
     pub family: Family,
     /// Drive through a ROS map_server map instead of a maze.
     #[arg(
@@ -74,19 +86,20 @@ pub struct SilArgs {
     )]
     pub goal: Option<Point>,
 
-    /// How to plan.
-    #[arg(long, value_enum, default_value_t = Policy::MapPredictive, help_heading = "Planning")]
-    pub policy: Policy,
-    /// What the planner is told about space that it has not seen.
-    #[arg(long, value_enum, default_value_t = Predictor::None, help_heading = "Planning")]
-    pub predictor: Predictor,
-    /// Largest speed, m/s.
+    /// How to plan [parameter plan.policy].
+    #[arg(long, value_parser = policy(), help_heading = "Planning")]
+    pub policy: Option<Policy>,
+    /// What the planner is told about space that it has not seen; none of them can make a drive
+    /// unsafe [parameter predict.kind].
+    #[arg(long, value_parser = predictor(), help_heading = "Planning")]
+    pub predictor: Option<PredictorKind>,
+    /// Largest speed, m/s [parameter speed.speed_max_mps].
     #[arg(long, value_name = "M/S", value_parser = positive, help_heading = "Planning")]
     pub speed_max: Option<f64>,
-    /// How far the lidar sees, metres.
+    /// How far the lidar sees, metres [parameter lidar.range_m].
     #[arg(long, value_name = "METRES", value_parser = positive, help_heading = "Planning")]
     pub lidar_range: Option<f64>,
-    /// How far from what is known predictions reach, metres.
+    /// How far from what is known predictions reach, metres [parameter predict.range_m].
     #[arg(long, value_name = "METRES", value_parser = positive, help_heading = "Planning")]
     pub prediction_range: Option<f64>,
 
@@ -103,10 +116,11 @@ pub struct SilArgs {
         help_heading = "Simulation"
     )]
     pub latency: Latency,
-    /// Give up after this many simulated seconds; ten times the known-map time if not given.
+    /// Give up after this many simulated seconds from the first motion on. If not given, ten times
+    /// what the way takes at full speed on the true map.
     #[arg(long, value_name = "SECONDS", value_parser = positive, help_heading = "Simulation")]
     pub time_limit: Option<f64>,
-    /// Run as fast as the clock on the wall instead of as fast as possible.
+    /// Keep pace with the clock on the wall instead of running as fast as possible.
     #[arg(long, help_heading = "Simulation")]
     pub realtime: bool,
 
@@ -131,6 +145,25 @@ pub struct SilArgs {
 }
 
 impl SilArgs {
+    /// The parameters that have options of their own, as far as they are given.
+    pub(super) fn flags(&self) -> Vec<Flag> {
+        let choices = [
+            ("--policy", "plan.policy", self.policy.map(|policy| policy.to_value())),
+            ("--predictor", "predict.kind", self.predictor.map(|kind| kind.to_value())),
+        ];
+        let numbers = [
+            ("--speed-max", "speed.speed_max_mps", self.speed_max),
+            ("--lidar-range", "lidar.range_m", self.lidar_range),
+            ("--prediction-range", "predict.range_m", self.prediction_range),
+        ]
+        .map(|(option, key, number)| (option, key, number.map(Value::Real)));
+        choices
+            .into_iter()
+            .chain(numbers)
+            .filter_map(|(option, key, value)| Some(Flag { option, key, value: value? }))
+            .collect()
+    }
+
     /// The drive that these options ask for.
     pub fn request(&self, params: Params, out: PathBuf) -> SilRequest {
         let world = match &self.map {
@@ -141,11 +174,6 @@ impl SilArgs {
             world,
             start: self.start,
             goal: self.goal,
-            policy: self.policy,
-            predictor: self.predictor,
-            speed_max_mps: self.speed_max,
-            lidar_range_m: self.lidar_range,
-            prediction_range_m: self.prediction_range,
             seed: self.seed,
             latency: self.latency,
             time_limit_s: self.time_limit,
@@ -163,7 +191,7 @@ pub struct MazeArgs {
     #[arg(long)]
     pub seed: u64,
     /// Kind of maze.
-    #[arg(long, value_enum, default_value_t = Family::Thin)]
+    #[arg(long, value_parser = family(), default_value = Family::Thin.name())]
     pub family: Family,
     /// The YAML file to write; the picture is put beside it.
     #[arg(long, value_name = "FILE.yaml")]
@@ -191,44 +219,31 @@ pub struct CheckArgs {
     pub json: bool,
 }
 
-/// Kinds of mazes, all on 10 x 10 cells of 2.5 m.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Family {
-    /// One winding way through most of the area, thin walls between its stretches.
-    Thin,
-    /// One way, everything off it solid.
-    Solid,
-    /// Dead ends and loops.
-    Branching,
+/// Reads a value by its name; `--help` and the error on any other name list them all.
+fn choice<T: Copy + Send + Sync + 'static>(
+    all: &'static [T],
+    name: fn(T) -> &'static str,
+    text: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    let names = all
+        .iter()
+        .map(|value| PossibleValue::new(name(*value)).help(text(*value).trim_end_matches('.')));
+    PossibleValuesParser::new(names.collect::<Vec<_>>()).map(move |given| {
+        let named = all.iter().find(|value| name(**value) == given);
+        *named.expect("only names of the list get through")
+    })
 }
 
-/// Ways to plan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Policy {
-    /// Through known and unknown space at once, weighed by the prediction.
-    MapPredictive,
-    /// To the frontier nearest the goal, then on from there.
-    Frontier,
-    /// With the whole map known beforehand: the reference.
-    KnownMap,
+fn family() -> impl TypedValueParser<Value = Family> {
+    choice(Family::ALL, Family::name, Family::text)
 }
 
-/// What the planner is told about unknown space. None of them can make a drive unsafe.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Predictor {
-    /// Nothing: free and occupied are equally likely.
-    None,
-    /// The truth, within the prediction range.
-    Oracle,
-    /// Noise.
-    Random,
-    /// The contrary of the truth.
-    Inverted,
+fn policy() -> impl TypedValueParser<Value = Policy> {
+    choice(Policy::ALL, Policy::name, Policy::text)
 }
 
-/// The name of a value on the command line.
-pub(super) fn name_of(value: &impl ValueEnum) -> String {
-    value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+fn predictor() -> impl TypedValueParser<Value = PredictorKind> {
+    choice(PredictorKind::ALL, PredictorKind::name, PredictorKind::text)
 }
 
 /// `N` numbers separated by commas.
@@ -307,7 +322,7 @@ mod tests {
         let request = request("");
         assert_eq!(request.world, WorldSource::Maze { seed: 1, family: Family::Thin });
         assert_eq!((request.start, request.goal), (None, None));
-        assert_eq!(request.policy, Policy::MapPredictive);
+        assert!(sil("").unwrap().flags().is_empty());
         assert_eq!(request.latency, Latency::Fixed(0.02));
         assert!(!request.realtime);
     }
@@ -315,17 +330,28 @@ mod tests {
     #[test]
     fn every_option_reaches_the_request() {
         let request = request(
-            "--maze 7 --family branching --start -1.5,2,-90 --goal -3,4.25 --policy known-map \
-             --predictor inverted --speed-max 8 --lidar-range 5 --prediction-range 2.5 --seed 9 \
+            "--maze 7 --family branching --start -1.5,2,-90 --goal -3,4.25 --seed 9 \
              --latency measured --time-limit 60 --realtime",
         );
         assert_eq!(request.world, WorldSource::Maze { seed: 7, family: Family::Branching });
         assert_eq!(request.start, Some(Pose::new(-1.5, 2.0, -std::f64::consts::FRAC_PI_2)));
         assert_eq!(request.goal, Some(Point::new(-3.0, 4.25)));
-        assert_eq!((request.policy, request.predictor), (Policy::KnownMap, Predictor::Inverted));
-        assert_eq!((request.speed_max_mps, request.lidar_range_m), (Some(8.0), Some(5.0)));
-        assert_eq!((request.prediction_range_m, request.time_limit_s), (Some(2.5), Some(60.0)));
-        assert_eq!((request.seed, request.latency, request.realtime), (9, Latency::Measured, true));
+        assert_eq!((request.time_limit_s, request.seed), (Some(60.0), 9));
+        assert_eq!((request.latency, request.realtime), (Latency::Measured, true));
+    }
+
+    #[test]
+    fn options_that_stand_for_parameters_name_parameters_that_exist() {
+        let args = sil("--policy known-map --predictor inverted --speed-max 8 --lidar-range 5 \
+                        --prediction-range 2.5");
+        let mut params = Params::default();
+        for flag in args.unwrap().flags() {
+            params.set(flag.key, &flag.value).unwrap_or_else(|error| panic!("{flag:?} {error}"));
+        }
+        assert_eq!(params.plan.policy, Policy::KnownMap);
+        assert_eq!(params.predict.kind, PredictorKind::Inverted);
+        assert_eq!((params.speed.speed_max_mps, params.lidar.range_m), (8.0, 5.0));
+        assert_eq!(params.predict.range_m, 2.5);
     }
 
     #[test]

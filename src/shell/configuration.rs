@@ -5,12 +5,25 @@ use std::path::Path;
 
 use super::shown;
 use crate::params::{ENVIRONMENT_PREFIX, Faults, Layers, Params};
+use crate::tunable::Value;
 
-/// Defaults, file, environment and `--set`, each over the one before.
+/// An option of its own that stands for a parameter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Flag {
+    /// The option, with its dashes.
+    pub option: &'static str,
+    /// The parameter, with its section.
+    pub key: &'static str,
+    /// The value given.
+    pub value: Value,
+}
+
+/// Defaults, file, environment, `--set` and options, each over the one before.
 pub fn load(
     file: Option<&Path>,
     environment: &[(OsString, OsString)],
     set: &[String],
+    flags: &[Flag],
 ) -> Result<Params, Faults> {
     let mut layers = Layers::new();
     if let Some(file) = file {
@@ -32,6 +45,9 @@ pub fn load(
     layers.environment(texts);
     for assignment in set {
         layers.set(assignment);
+    }
+    for Flag { option, key, value } in flags {
+        layers.flag(option, key, value);
     }
     layers.build()
 }

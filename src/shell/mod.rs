@@ -4,9 +4,11 @@
 pub mod cli;
 mod configuration;
 mod folder;
+mod pace;
 mod progress;
 pub mod report;
 pub mod sil;
+mod simulator;
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -15,11 +17,12 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
-use crate::params::document;
+use crate::params::{Origin, document};
 use crate::sim::drive::Outcome;
 use cli::{CheckArgs, Cli, Command, MazeArgs, ParamsArgs, SilArgs};
 use progress::Terminal;
 use sil::{RunError, Simulator};
+use simulator::RigSimulator;
 
 /// How a command ends, for scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,13 +44,12 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// The whole program: reads command line and environment, does what they say. `simulator` is what
-/// drives the simulated car.
-pub fn main(simulator: &dyn Simulator) -> ExitCode {
+/// The whole program: reads command line and environment, does what they say.
+pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let environment: Vec<(OsString, OsString)> = std::env::vars_os().collect();
     let terminal = Terminal::new(cli.verbose);
-    execute(&cli, &environment, simulator, &terminal, &mut std::io::stdout()).into()
+    execute(&cli, &environment, &RigSimulator, &terminal, &mut std::io::stdout()).into()
 }
 
 /// Does what a parsed command line says; results go to `out`, everything else to standard error.
@@ -73,8 +75,13 @@ fn drive(
     terminal: &Terminal,
     out: &mut dyn Write,
 ) -> Exit {
-    let params = match configuration::load(args.config.as_deref(), environment, &args.set) {
+    let file = args.config.as_deref();
+    let params = match configuration::load(file, environment, &args.set, &args.flags()) {
         Ok(params) => params,
+        Err(faults) if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) => {
+            complain(&faults.to_string());
+            return Exit::Usage;
+        }
         Err(faults) => {
             complain(&format!("bad configuration\n{faults}"));
             return Exit::Configuration;

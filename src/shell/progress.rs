@@ -29,6 +29,7 @@ impl Terminal {
         let above = bars.clone();
         let log = tracing_subscriber::fmt()
             .with_max_level(level)
+            .with_target(verbose > 1)
             .with_ansi(std::io::stderr().is_terminal())
             .with_writer(move || AboveBar(above.clone()))
             .finish();
@@ -39,9 +40,9 @@ impl Terminal {
 
     /// A bar for one drive.
     pub fn bar(&self) -> Bar {
-        let style = ProgressStyle::with_template("{bar:28} {msg}")
+        let style = ProgressStyle::with_template("{bar:18} {wide_msg}")
             .expect("the template is valid")
-            .progress_chars("=> ");
+            .progress_chars("━╸ ");
         let bar = self.bars.add(ProgressBar::new(STEPS).with_style(style));
         Bar { bar }
     }
@@ -74,7 +75,7 @@ fn share(progress: &Progress) -> f64 {
 
 fn text(progress: &Progress) -> String {
     format!(
-        "{:5.1} m driven, {:5.1} m to go  {:4.1} m/s  {:4} replans  {:5.1} s",
+        "{:5.1} m driven {:5.1} m to go {:4.1} m/s {:4} replans {:5.1} s",
         progress.distance_m,
         progress.remaining_m,
         progress.speed_mps,
@@ -118,9 +119,6 @@ mod tests {
             remaining_m: 20.1,
             replans: 214,
         };
-        assert_eq!(
-            text(&progress),
-            " 12.3 m driven,  20.1 m to go   3.9 m/s   214 replans    6.2 s"
-        );
+        assert_eq!(text(&progress), " 12.3 m driven  20.1 m to go  3.9 m/s  214 replans   6.2 s");
     }
 }

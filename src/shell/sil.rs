@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use super::cli::{Family, Policy, Predictor, name_of};
 use super::report::{DriveRecord, outcome_text};
 use crate::frames::{Point, Pose};
 use crate::params::Params;
+use crate::plan::Policy;
 use crate::sim::drive::{Spread, Summary};
+use crate::sim::maze::Family;
+use crate::sim::rig::Latency;
 
 /// Where the walls come from.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,15 +27,6 @@ pub enum WorldSource {
     },
 }
 
-/// Time from a scan to the plan made from it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Latency {
-    /// As long as planning takes on the wall clock.
-    Measured,
-    /// This many seconds.
-    Fixed(f64),
-}
-
 /// One drive, with every option checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SilRequest {
@@ -43,21 +36,11 @@ pub struct SilRequest {
     pub start: Option<Pose>,
     /// Where to go, map frame; the maze's own goal if not given. Always given with a map.
     pub goal: Option<Point>,
-    /// How to plan.
-    pub policy: Policy,
-    /// What the planner is told about unknown space.
-    pub predictor: Predictor,
-    /// Largest speed, m/s, positive; the parameter if not given.
-    pub speed_max_mps: Option<f64>,
-    /// Range of the lidar, metres, positive; the parameter if not given.
-    pub lidar_range_m: Option<f64>,
-    /// Range of predictions, metres, positive; the parameter if not given.
-    pub prediction_range_m: Option<f64>,
     /// Seed of everything random during the drive.
     pub seed: u64,
     /// Time from a scan to its plan.
     pub latency: Latency,
-    /// Give up after this many simulated seconds.
+    /// Give up after this many simulated seconds; the rig's own limit if not given.
     pub time_limit_s: Option<f64>,
     /// Keep pace with the wall clock.
     pub realtime: bool,
@@ -71,16 +54,17 @@ impl SilRequest {
     /// What is driven, in a few words: world, policy and predictor.
     pub fn title(&self) -> String {
         let world = match &self.world {
-            WorldSource::Maze { seed, family } => format!("maze {seed} ({})", name_of(family)),
+            WorldSource::Maze { seed, family } => format!("maze {seed} ({})", family.name()),
             WorldSource::Map { file } => {
                 file.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into())
             }
         };
-        let predictor = match (self.policy, self.predictor) {
-            (Policy::MapPredictive, predictor) => format!(", {}", name_of(&predictor)),
-            _ => String::new(),
+        let policy = self.params.plan.policy;
+        let predictor = match policy {
+            Policy::MapPredictive => format!(", {}", self.params.predict.kind.name()),
+            Policy::Frontier | Policy::KnownMap => String::new(),
         };
-        format!("{world} · {}{predictor}", name_of(&self.policy))
+        format!("{world} · {}{predictor}", policy.name())
     }
 }
 

@@ -1,12 +1,12 @@
 use std::cell::RefCell;
 
-use super::cli::Family;
 use super::report::DriveRecord;
 use super::sil::{Progress, SilRequest};
 use super::*;
 use crate::frames::{Point, Pose};
 use crate::map::{Cell, CellIndex, Grid};
 use crate::sim::drive::{Spread, Summary, Trace};
+use crate::sim::maze::Family;
 
 /// Ends every drive at once, in a given way, and remembers what it was asked for.
 struct Puppet {
@@ -97,6 +97,7 @@ fn only_a_drive_that_reaches_its_goal_ends_well() {
         (Outcome::Timeout, Exit::Failed),
         (Outcome::Collision, Exit::Failed),
         (Outcome::Unreachable, Exit::Failed),
+        (Outcome::Interrupted, Exit::Failed),
     ] {
         assert_eq!(sil(&Puppet::that_ends(outcome), &[]).0, exit, "{outcome:?}");
     }
@@ -161,6 +162,20 @@ fn a_bad_configuration_drives_nothing() {
         assert_eq!(run(&puppet, &[], &["sil", option, value]).0, Exit::Configuration);
     }
     assert!(puppet.asked.borrow().is_empty());
+}
+
+#[test]
+fn an_option_out_of_range_is_bad_usage_unless_the_configuration_is_bad_too() {
+    let puppet = Puppet::that_ends(Outcome::Goal);
+    assert_eq!(run(&puppet, &[], &["sil", "--speed-max", "1000"]).0, Exit::Usage);
+    let both = ["sil", "--speed-max", "1000", "--set", "vehicle.friction=9"];
+    assert_eq!(run(&puppet, &[], &both).0, Exit::Configuration);
+    assert!(puppet.asked.borrow().is_empty());
+    let options = ["--speed-max", "2", "--policy", "frontier", "--set", "speed.speed_max_mps=3"];
+    assert_eq!(sil(&puppet, &options).0, Exit::Done);
+    let asked = &puppet.asked.borrow()[0];
+    assert_eq!(asked.params.speed.speed_max_mps, 2.0);
+    assert_eq!(asked.title(), "maze 1 (thin) · frontier");
 }
 
 #[test]

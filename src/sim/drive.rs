@@ -18,6 +18,8 @@ pub enum Outcome {
     Collision,
     /// The known map proves that no way exists.
     Unreachable,
+    /// A person ended the drive before its time.
+    Interrupted,
 }
 
 /// Spread of a wall-clock or age figure, in milliseconds.

@@ -116,6 +116,26 @@ impl World {
         self.is_cell_solid(floor(p.u), floor(p.v))
     }
 
+    /// Whether the point lies on the raster.
+    pub fn contains(&self, point: Point) -> bool {
+        let p = self.to_local(point);
+        let is_number = !(p.u.is_nan() || p.v.is_nan());
+        is_number && self.offset(floor(p.u), floor(p.v)).is_some()
+    }
+
+    /// Lower left and upper right corner of the upright rectangle around the raster, map frame.
+    pub fn bounds(&self) -> [Point; 2] {
+        let (width, height) = (self.width as f64, self.height as f64);
+        let corners = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)]
+            .map(|(u, v)| self.to_map(Local { u, v }));
+        let [mut low, mut high] = [corners[0]; 2];
+        for corner in corners {
+            low = Point::new(low.x.min(corner.x), low.y.min(corner.y));
+            high = Point::new(high.x.max(corner.x), high.y.max(corner.y));
+        }
+        [low, high]
+    }
+
     /// Exact distance from the point to the nearest solid square, metres; 0 inside one. Distances
     /// of `cap_m` and more come back as `cap_m` (give `f64::INFINITY` for no cap; a small cap is
     /// fast).

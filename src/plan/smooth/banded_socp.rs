@@ -13,7 +13,7 @@
 //! feasible.
 
 use super::program::{Program, SolveError};
-use crate::frames::Point;
+use crate::frames::{Point, Vector};
 
 /// When to stop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,7 +43,7 @@ fn dot(a: V2, b: V2) -> f64 {
 #[derive(Clone, Copy, Debug, Default)]
 struct Cone {
     first: usize,
-    /// Stencil over the points, divided by the bound.
+    /// Stencil over the points relative to their discs' centres, divided by the bound.
     coef: [f64; 3],
     offset: V2,
     /// Slack tail (its head is 1) and multiplier.
@@ -135,14 +135,17 @@ type S2 = [f64; 3];
 /// Full 2 x 2, row by row.
 type M2 = [f64; 4];
 
-/// a * s
-fn mul_sym(a: M2, s: S2) -> M2 {
-    [
-        a[0] * s[0] + a[1] * s[1],
-        a[0] * s[1] + a[1] * s[2],
-        a[2] * s[0] + a[3] * s[1],
-        a[2] * s[1] + a[3] * s[2],
-    ]
+/// Solves a symmetric 2 x 2 system from its factors (1 / pivot, multiplier, 1 / pivot). Substitution
+/// keeps its accuracy where the block is almost singular; the explicit inverse does not.
+fn solve_factored(f: S2, v: V2) -> V2 {
+    let y = (v[1] - f[1] * v[0]) * f[2];
+    [v[0] * f[0] - f[1] * y, y]
+}
+
+/// a * D^-1 for a factored symmetric D
+fn divide(a: M2, f: S2) -> M2 {
+    let (r0, r1) = (solve_factored(f, [a[0], a[1]]), solve_factored(f, [a[2], a[3]]));
+    [r0[0], r0[1], r1[0], r1[1]]
 }
 
 /// a * b'
@@ -164,7 +167,7 @@ fn add_sym(d: &mut S2, s: S2, k: f64) {
 /// Block-pentadiagonal symmetric matrix, then its factors L D L'.
 #[derive(Debug, Default)]
 struct Banded {
-    /// Diagonal blocks; after factoring their Schur complements' inverses.
+    /// Diagonal blocks; after factoring the factors of their Schur complements.
     d: Vec<S2>,
     /// Blocks (k, k-1) and (k, k-2); after factoring those of L.
     e: Vec<M2>,
@@ -202,8 +205,8 @@ impl Banded {
             d[2] += k * s[1];
             d[3] += k * s[2];
         };
-        for i in 0..3 {
-            add_sym(&mut self.d[k + i], s, c[i] * c[i]);
+        for (d, c) in self.d[k..].iter_mut().zip(c) {
+            add_sym(d, s, c * c);
         }
         add(&mut self.e[k + 1], c[0] * c[1]);
         add(&mut self.e[k + 2], c[1] * c[2]);
@@ -218,9 +221,8 @@ impl Banded {
             m[2] += w * a[1] * b[0];
             m[3] += w * a[1] * b[1];
         };
-        for i in 0..3 {
-            let a = c[i];
-            add_sym(&mut self.d[k + i], [a[0] * a[0], a[0] * a[1], a[1] * a[1]], w);
+        for (d, a) in self.d[k..].iter_mut().zip(c) {
+            add_sym(d, [a[0] * a[0], a[0] * a[1], a[1] * a[1]], w);
         }
         outer(&mut self.e[k + 1], c[1], c[0]);
         outer(&mut self.e[k + 2], c[2], c[1]);
@@ -258,7 +260,7 @@ impl Banded {
                 let mut u1 = self.e[k];
                 if k >= 2 {
                     let u2 = self.f[k];
-                    let l2 = mul_sym(u2, self.d[k - 2]);
+                    let l2 = divide(u2, self.d[k - 2]);
                     self.f[k] = l2;
                     let t = mul_transposed(u2, self.e[k - 1]);
                     for i in 0..4 {
@@ -266,16 +268,17 @@ impl Banded {
                     }
                     subtract(l2, u2);
                 }
-                let l1 = mul_sym(u1, self.d[k - 1]);
+                let l1 = divide(u1, self.d[k - 1]);
                 self.e[k] = l1;
                 subtract(l1, u1);
             }
-            let det = d[0] * d[2] - d[1] * d[1];
-            if !(det > 0.0 && d[0] > 0.0) {
+            let first = 1.0 / d[0];
+            let multiplier = d[1] * first;
+            let second = d[2] - multiplier * d[1];
+            if !(d[0] > 0.0 && second > 0.0) {
                 return false;
             }
-            let i = 1.0 / det;
-            self.d[k] = [d[2] * i, -d[1] * i, d[0] * i];
+            self.d[k] = [first, multiplier, 1.0 / second];
         }
         true
     }
@@ -298,8 +301,7 @@ impl Banded {
             b[k] = v;
         }
         for k in (0..n).rev() {
-            let (d, v) = (self.d[k], b[k]);
-            let mut v = [d[0] * v[0] + d[1] * v[1], d[1] * v[0] + d[2] * v[1]];
+            let mut v = solve_factored(self.d[k], b[k]);
             if k + 1 < n {
                 let (l, p) = (self.e[k + 1], b[k + 1]);
                 v[0] -= l[0] * p[0] + l[2] * p[1];
@@ -321,12 +323,12 @@ pub struct BandedSolver {
     /// Discs first (cone i holds point i), then bends.
     cones: Vec<Cone>,
     radii: Vec<f64>,
-    /// Sum over cones of z.s at the discs' centres is z0 + z.at_centres.
-    at_centres: Vec<V2>,
+    centres: Vec<Point>,
     /// Hessian and linear part of the cost.
     hessian: Banded,
     linear: Vec<V2>,
     matrix: Banded,
+    /// The points relative to their discs' centres.
     x: Vec<V2>,
     gradient: Vec<V2>,
     pull: Vec<V2>,
@@ -350,13 +352,13 @@ impl BandedSolver {
             let cost = self.evaluate_cost() + constant;
             self.pull.iter_mut().for_each(|p| *p = [0.0; 2]);
             let (mut gap, mut primal, mut reach) = (0.0, 0.0_f64, 0.0);
-            for (cone, centre) in self.cones.iter_mut().zip(&self.at_centres) {
+            for cone in &mut self.cones {
                 let value = cone.linear(&self.x);
                 cone.res =
                     [cone.u[0] - value[0] - cone.offset[0], cone.u[1] - value[1] - cone.offset[1]];
                 primal = primal.max(cone.res[0].abs()).max(cone.res[1].abs());
                 gap += cone.z0 + dot(cone.u, cone.z);
-                reach += cone.z0 + dot(cone.z, *centre);
+                reach += cone.z0 + dot(cone.z, cone.offset);
                 cone.scatter(cone.z, &mut self.pull);
             }
             let mut dual = 0.0_f64;
@@ -375,8 +377,8 @@ impl BandedSolver {
                 && gap <= tolerances.gap * scale
                 && dual <= tolerances.gap * scale
             {
-                for (out, v) in x.iter_mut().zip(&self.x) {
-                    *out = Point::new(v[0], v[1]);
+                for ((out, v), disc) in x.iter_mut().zip(&self.x).zip(&program.discs) {
+                    *out = disc.centre + Vector::new(v[0], v[1]);
                 }
                 return Ok(iteration);
             }
@@ -425,9 +427,11 @@ impl BandedSolver {
                 let ib2 = cone.inv_beta * cone.inv_beta;
                 cone.du = [-y[0], -y[1]];
                 cone.dz0 = cone.c0 - cone.z0 - ib2 * 2.0 * cone.w0 * wy;
-                for i in 0..2 {
-                    cone.dz[i] = cone.c[i] - cone.z[i] + ib2 * (2.0 * cone.w[i] * wy + y[i]);
-                }
+                let (w, ww) = (cone.w, 2.0 * wy);
+                cone.dz = [
+                    cone.c[0] - cone.z[0] + ib2 * (ww * w[0] + y[0]),
+                    cone.c[1] - cone.z[1] + ib2 * (ww * w[1] + y[1]),
+                ];
                 reached = step_to_boundary(1.0, cone.u, 0.0, cone.du, reached);
                 reached = step_to_boundary(cone.z0, cone.z, cone.dz0, cone.dz, reached);
             }
@@ -462,52 +466,49 @@ impl BandedSolver {
         let mut constant = 0.0;
         let bends = program.bends.iter().map(|b| (&b.stencil, b.weight));
         let stretches = program.stretches.iter().map(|s| (&s.stencil, s.weight));
+        self.centres.clear();
+        self.centres.extend(program.discs.iter().map(|d| d.centre));
         for (stencil, weight) in bends.chain(stretches) {
+            let offset = stencil.at(&self.centres);
             let (k, c, w) = (stencil.first, stencil.coef, unit * weight);
             self.hessian.add_scaled(k, c, [2.0 * w, 0.0, 2.0 * w]);
-            for i in 0..3 {
-                self.linear[k + i][0] += 2.0 * w * c[i] * stencil.offset.x;
-                self.linear[k + i][1] += 2.0 * w * c[i] * stencil.offset.y;
+            for (linear, c) in self.linear[k..].iter_mut().zip(c) {
+                linear[0] += 2.0 * w * c * offset.x;
+                linear[1] += 2.0 * w * c * offset.y;
             }
-            constant += w * stencil.offset.norm_squared();
+            constant += w * offset.norm_squared();
         }
         for row in &program.unevennesses {
-            let (k, w) = (row.first, unit * row.weight);
+            let (k, w, offset) = (row.first, unit * row.weight, row.at(&self.centres));
             let c = row.coef.map(|c| [c.x, c.y]);
             self.hessian.add_outer(k, c, 2.0 * w);
-            for i in 0..3 {
-                self.linear[k + i][0] += 2.0 * w * c[i][0] * row.offset_m;
-                self.linear[k + i][1] += 2.0 * w * c[i][1] * row.offset_m;
+            for (linear, c) in self.linear[k..].iter_mut().zip(c) {
+                linear[0] += 2.0 * w * c[0] * offset;
+                linear[1] += 2.0 * w * c[1] * offset;
             }
-            constant += w * row.offset_m * row.offset_m;
+            constant += w * offset * offset;
         }
         self.radii.clear();
         self.radii.extend(program.discs.iter().map(|d| d.radius_m));
         self.cones.clear();
-        self.at_centres.clear();
         for (i, disc) in program.discs.iter().enumerate() {
-            let inv = 1.0 / disc.radius_m;
             let mut coef = [0.0; 3];
             let first = i.min(m - 3);
-            coef[i - first] = inv;
-            let offset = [-inv * disc.centre.x, -inv * disc.centre.y];
-            self.cones.push(Cone { first, coef, offset, ..Cone::default() });
-            self.at_centres.push([0.0; 2]);
+            coef[i - first] = 1.0 / disc.radius_m;
+            self.cones.push(Cone { first, coef, ..Cone::default() });
         }
         for bend in &program.bends {
-            let (s, inv) = (&bend.stencil, 1.0 / bend.bound_m);
-            let centre = |i: usize| program.discs[s.first + i].centre.coords * s.coef[i];
-            let at = (s.offset + centre(0) + centre(1) + centre(2)) * inv;
+            let inv = 1.0 / bend.bound_m;
+            let offset = bend.stencil.at(&self.centres) * inv;
             self.cones.push(Cone {
-                first: s.first,
-                coef: s.coef.map(|c| c * inv),
-                offset: [s.offset.x * inv, s.offset.y * inv],
+                first: bend.stencil.first,
+                coef: bend.stencil.coef.map(|c| c * inv),
+                offset: [offset.x, offset.y],
                 ..Cone::default()
             });
-            self.at_centres.push([at.x, at.y]);
         }
         self.x.clear();
-        self.x.extend(x.iter().map(|p| [p.x, p.y]));
+        self.x.extend(x.iter().zip(&self.centres).map(|(p, c)| [p.x - c.x, p.y - c.y]));
         for v in [&mut self.gradient, &mut self.pull] {
             v.clear();
             v.resize(m, [0.0; 2]);
@@ -582,3 +583,67 @@ impl BandedSolver {
 const STEP_SHARE: f64 = 0.99;
 /// How close to the boundary of its cone (at 1) a slack may start.
 const START_DEPTH: f64 = 0.7;
+
+#[cfg(test)]
+mod tests {
+    use super::super::program::samples::random_program;
+    use super::super::reference;
+    use super::*;
+
+    #[test]
+    fn it_agrees_with_clarabel_on_random_programs() {
+        let mut solver = BandedSolver::default();
+        let (mut solved, mut infeasible) = (0, 0);
+        for seed in 0..150 {
+            let (program, guess) = random_program(seed);
+            let (mut own, mut theirs) = (guess.clone(), guess.clone());
+            let verdict = reference::solve(&program, &mut theirs);
+            match solver.solve(&program, &Tolerances::TIGHT, &mut own) {
+                Ok(_) => {
+                    solved += 1;
+                    verdict.unwrap_or_else(|e| panic!("seed {seed}: Clarabel says {e}"));
+                    assert!(program.violation(&own) < 1e-7, "seed {seed}");
+                    let (a, b) = (program.cost(&own), program.cost(&theirs));
+                    assert!((a - b).abs() <= 1e-6 * b.max(1e-3), "seed {seed}: {a} {b}");
+                }
+                Err(error) => {
+                    assert_eq!(error, SolveError::Infeasible, "seed {seed}");
+                    assert!(
+                        matches!(verdict, Err(SolveError::Infeasible)),
+                        "seed {seed}: {verdict:?}"
+                    );
+                    assert_eq!(own, guess, "a failure leaves the guess alone");
+                    infeasible += 1;
+                }
+            }
+        }
+        assert!(solved >= 40 && infeasible >= 20, "{solved} solved, {infeasible} infeasible");
+    }
+
+    #[test]
+    fn the_working_tolerances_are_good_for_a_fraction_of_a_thousandth() {
+        let mut solver = BandedSolver::default();
+        let mut solved = 0;
+        for seed in 0..150 {
+            let (program, guess) = random_program(seed);
+            let (mut rough, mut fine) = (guess.clone(), guess);
+            let Ok(fewer) = solver.solve(&program, &Tolerances::SHAPE, &mut rough) else {
+                continue;
+            };
+            let more = solver.solve(&program, &Tolerances::TIGHT, &mut fine).unwrap();
+            assert!(fewer <= more);
+            assert!(program.violation(&rough) < 1e-6);
+            assert!(program.cost(&rough) <= program.cost(&fine) * (1.0 + 5e-4) + 1e-3);
+            solved += 1;
+        }
+        assert!(solved >= 40);
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_reported() {
+        let (mut program, mut guess) = random_program(2);
+        program.discs[1].radius_m = f64::NAN;
+        let result = BandedSolver::default().solve(&program, &Tolerances::SHAPE, &mut guess);
+        assert!(matches!(result, Err(SolveError::Numerical(_))), "{result:?}");
+    }
+}

@@ -135,9 +135,9 @@ pub fn guide_on_cells(
     guide
 }
 
-/// Time along a path from a start speed to rest, seconds; `None` if a bend cannot be entered.
-/// Forward and backward passes on the friction circle.
-pub fn travel_time_s(path: &Path, grip: f64, speed_max: f64, start_speed: f64) -> Option<f64> {
+/// Squared speeds of the fastest way along a path from a start speed to rest, (m/s)^2; `None` if
+/// a bend cannot be entered. Forward and backward passes on the friction circle.
+pub fn fastest(path: &Path, grip: f64, speed_max: f64, start_speed: f64) -> Option<Vec<f64>> {
     let p = &path.points;
     let cap = |k: f64| (grip / k.abs().max(1e-9)).min(speed_max * speed_max);
     let mut b: Vec<f64> = p.iter().map(|p| cap(p.curvature_pm)).collect();
@@ -152,7 +152,7 @@ pub fn travel_time_s(path: &Path, grip: f64, speed_max: f64, start_speed: f64) -
         b[i] = b[i].min(b[i + 1] + gain(b[i + 1], i + 1, ds));
     }
     let energy = start_speed * start_speed;
-    if energy > b[0] * 1.02 + 1e-9 {
+    if energy > b[0] * 1.03 + 1e-9 {
         return None;
     }
     b[0] = energy.min(b[0]);
@@ -160,7 +160,11 @@ pub fn travel_time_s(path: &Path, grip: f64, speed_max: f64, start_speed: f64) -
         let ds = p[i + 1].s_m - p[i].s_m;
         b[i + 1] = b[i + 1].min(b[i] + gain(b[i], i, ds));
     }
-    let times =
-        (0..last).map(|i| 2.0 * (p[i + 1].s_m - p[i].s_m) / (b[i].sqrt() + b[i + 1].sqrt()));
-    Some(times.sum())
+    Some(b)
+}
+
+/// Time along a path driven at these squared speeds, seconds.
+pub fn travel_time_s(path: &Path, b: &[f64]) -> f64 {
+    let steps = path.points.windows(2).zip(b.windows(2));
+    steps.map(|(p, b)| 2.0 * (p[1].s_m - p[0].s_m) / (b[0].sqrt() + b[1].sqrt())).sum()
 }

@@ -137,3 +137,77 @@ pub enum SolveError {
     #[error("numerical breakdown in iteration {0}")]
     Numerical(u32),
 }
+
+#[cfg(test)]
+pub(super) mod samples {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// A random program like those of real corridors, feasible or not: discs along a random curve,
+    /// all kinds of terms, some bounds tight.
+    pub fn random_program(seed: u64) -> (Program, Vec<Point>) {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let m = rng.random_range(3..120);
+        let d = rng.random_range(0.05..0.2);
+        let curvature_max = rng.random_range(0.5..3.0);
+        let mut program = Program::default();
+        let (mut p, mut heading, mut turn) = (Point::origin(), 0.0_f64, 0.0_f64);
+        let mut points = Vec::new();
+        for _ in 0..m + 2 {
+            points.push(p);
+            turn = (turn + rng.random_range(-0.6..0.6)).clamp(-1.1, 1.1) * 0.95;
+            heading += turn * d * curvature_max;
+            p += Vector::new(heading.cos(), heading.sin()) * d;
+        }
+        let (before, after) = (points[0], points[m + 1]);
+        let x = points[1..=m].to_vec();
+        // Discs that miss their points make some programs infeasible.
+        let reach = if seed.is_multiple_of(3) { 1.6 } else { 0.7 };
+        for p in &x {
+            let radius_m = rng.random_range(0.01..0.6);
+            let off = Vector::new(rng.random_range(-reach..reach), rng.random_range(-reach..reach));
+            program.discs.push(Disc { centre: p + off * radius_m, radius_m });
+        }
+        let bound_m = curvature_max * d * d;
+        let length_weight = rng.random_range(0.0..2.0) / (d * d);
+        let weight = d.powi(-4);
+        for k in 0..m {
+            // neighbours of point k, of which the first and the last are fixed
+            let first = k.max(1).min(m - 2) - 1;
+            let mut stencil = Stencil { first, coef: [0.0; 3], offset: Vector::zeros() };
+            let mut stretch = stencil;
+            let (t0, t1) = (points[k + 1] - points[k], points[k + 2] - points[k + 1]);
+            let (t0, t1) = (t0.normalize(), t1.normalize());
+            let mut uneven = Unevenness {
+                first,
+                coef: [Vector::zeros(); 3],
+                offset_m: 0.0,
+                weight: 30.0 * weight,
+            };
+            for (j, bend, step, row) in [
+                (k as i64 - 1, -1.0, 0.0, t0),
+                (k as i64, 2.0, -1.0, -t0 - t1),
+                (k as i64 + 1, -1.0, 1.0, t1),
+            ] {
+                if (0..m as i64).contains(&j) {
+                    let i = j as usize - first;
+                    stencil.coef[i] += bend;
+                    stretch.coef[i] += step;
+                    uneven.coef[i] += row;
+                } else {
+                    let fixed = if j < 0 { before } else { after };
+                    stencil.offset += fixed.coords * bend;
+                    stretch.offset += fixed.coords * step;
+                    uneven.offset_m += fixed.coords.dot(&row);
+                }
+            }
+            program.bends.push(Bend { stencil, bound_m, weight });
+            program.stretches.push(Stretch { stencil: stretch, weight: length_weight });
+            if seed.is_multiple_of(2) {
+                program.unevennesses.push(uneven);
+            }
+        }
+        (program, x)
+    }
+}

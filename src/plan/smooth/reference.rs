@@ -1,7 +1,7 @@
 //! The shape program on Clarabel, a general conic solver: the reference for the banded one.
 
 use super::program::{Program, SolveError, Stencil};
-use crate::frames::Point;
+use crate::frames::{Point, Vector};
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{
     DefaultSettingsBuilder, DefaultSolver, IPSolver, SolverStatus, SupportedConeT,
@@ -14,9 +14,14 @@ pub fn solve(program: &Program, x: &mut [Point]) -> Result<u32, SolveError> {
     let unit = 1.0 / largest.fold(f64::MIN_POSITIVE, f64::max);
     let (mut rows, mut cols, mut values) = (Vec::new(), Vec::new(), Vec::new());
     let mut q = vec![0.0; n];
+    // Unknown are the points relative to their discs' centres: the cost then has no large
+    // constant part, to which the solver's relative tolerance would apply.
+    let centres: Vec<Point> = program.discs.iter().map(|d| d.centre).collect();
     let bends = program.bends.iter().map(|b| (&b.stencil, b.weight));
     let stretches = program.stretches.iter().map(|s| (&s.stencil, s.weight));
-    for (Stencil { first, coef, offset }, weight) in bends.chain(stretches) {
+    for (stencil, weight) in bends.chain(stretches) {
+        let Stencil { first, coef, .. } = stencil;
+        let offset = stencil.at(&centres);
         let w = 2.0 * unit * weight;
         for axis in 0..2 {
             for j in 0..3 {
@@ -38,7 +43,7 @@ pub fn solve(program: &Program, x: &mut [Point]) -> Result<u32, SolveError> {
                 cols.push(2 * row.first + j);
                 values.push(w * flat[i] * flat[j]);
             }
-            q[2 * row.first + j] += w * flat[j] * row.offset_m;
+            q[2 * row.first + j] += w * flat[j] * row.at(&centres);
         }
     }
     let p = CscMatrix::new_from_triplets(n, n, rows, cols, values);
@@ -50,8 +55,7 @@ pub fn solve(program: &Program, x: &mut [Point]) -> Result<u32, SolveError> {
             cols.push(2 * i + axis);
             values.push(-1.0 / disc.radius_m);
         }
-        let c = disc.centre.coords / disc.radius_m;
-        b.extend([1.0, -c.x, -c.y]);
+        b.extend([1.0, 0.0, 0.0]);
     }
     for bend in &program.bends {
         let (s, inv) = (&bend.stencil, 1.0 / bend.bound_m);
@@ -62,14 +66,15 @@ pub fn solve(program: &Program, x: &mut [Point]) -> Result<u32, SolveError> {
                 values.push(-inv * s.coef[i]);
             }
         }
-        b.extend([1.0, s.offset.x * inv, s.offset.y * inv]);
+        let offset = s.at(&centres) * inv;
+        b.extend([1.0, offset.x, offset.y]);
     }
     let a = CscMatrix::new_from_triplets(b.len(), n, rows, cols, values);
     let cones = vec![SupportedConeT::SecondOrderConeT(3); b.len() / 3];
     let settings = DefaultSettingsBuilder::default()
         .verbose(false)
-        .tol_gap_abs(1e-9)
-        .tol_gap_rel(1e-9)
+        .tol_gap_abs(1e-10)
+        .tol_gap_rel(1e-12)
         .tol_feas(1e-9)
         .build()
         .expect("constant settings are valid");
@@ -79,8 +84,8 @@ pub fn solve(program: &Program, x: &mut [Point]) -> Result<u32, SolveError> {
     let solution = &solver.solution;
     match solution.status {
         SolverStatus::Solved | SolverStatus::AlmostSolved => {
-            for (out, v) in x.iter_mut().zip(solution.x.chunks_exact(2)) {
-                *out = Point::new(v[0], v[1]);
+            for ((out, v), centre) in x.iter_mut().zip(solution.x.chunks_exact(2)).zip(&centres) {
+                *out = centre + Vector::new(v[0], v[1]);
             }
             Ok(solution.iterations)
         }

@@ -19,13 +19,14 @@ tunables! {
     /// Convex elastic smoothing of the guide path.
     pub struct SmoothParams in "smooth" {
         /// Distance between the control points of the path.
-        spacing_m: f64 = 0.12, live, in 0.03..=0.5, "m";
+        spacing_m: f64 = 0.095, live, in 0.03..=0.5, "m";
         /// How often the shape is solved, each time about the last result.
         passes: u32 = 4, live, in 1..=10, "";
         /// The same when the guide is the last plan's shape.
         passes_warm: u32 = 2, live, in 1..=10, "";
-        /// Weight of length against squared curvature, up to 4 m/s; fades to zero at 8 m/s.
-        length_weight_pm2: f64 = 0.1, live, in 0.0..=2.0, "1/m^2";
+        /// Weight of length against squared curvature, in units of the squared curvature at which the
+        /// tyres begin to limit the speed (bends wider than that cost length only).
+        length_weight: f64 = 1.3, live, in 0.0..=20.0, "";
         /// How far along the guide the path is shaped.
         horizon_m: f64 = 20.0, live, in 2.0..=200.0, "m";
         /// Bubbles smaller than this move away from the obstacle until this radius fits.
@@ -34,6 +35,9 @@ tunables! {
         bubble_radius_max_m: f64 = 1.2, live, in 0.05..=10.0, "m";
         /// Share of the tightest curvature that paths use beyond the first metres.
         curvature_share: f64 = 0.96, live, in 0.5..=1.0, "";
+        /// Clearance that paths keep beyond what is asked, rising from nothing at the start over
+        /// the first metre, so that a path can be planned again from any of its points.
+        margin_m: f64 = 0.006, live, in 0.0..=0.5, "m";
         /// Which solver shapes the path.
         solver: Solver = Solver::Banded, live, one of;
     }
@@ -51,10 +55,7 @@ pub struct SmoothRequest<'a> {
     pub start: Pose,
     /// Curvature of the path that the car is on there, 1/m; `None` when it is free (at rest).
     pub start_curvature_pm: Option<f64>,
-    /// The way that the car is on from there: arc length, metres, growing, and curvature, 1/m.
-    /// What bends as that does at the same arc length is never held to be too tight for the speed.
-    pub held: &'a [(f64, f64)],
-    /// Speed at the start, m/s.
+    /// Speed there, m/s.
     pub start_speed_mps: f64,
     /// How far from the guide's last point the path may end, metres; 0 for exactly there.
     pub end_radius_m: f64,

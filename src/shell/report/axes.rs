@@ -86,7 +86,8 @@ fn tick_style() -> String {
     format!("stroke=\"{SOFT_INK}\"")
 }
 
-/// Values at 1, 2 or 5 times a power of ten inside the range, about `count` of them.
+/// Values at 1, 2 or 5 times a power of ten inside the range, about `count` of them, but no fewer
+/// than two: one alone gives no scale.
 pub fn ticks(range: Range, count: usize) -> Vec<f64> {
     let span = range[1] - range[0];
     if !(span > 0.0 && span.is_finite()) {
@@ -101,6 +102,9 @@ pub fn ticks(range: Range, count: usize) -> Vec<f64> {
         .unwrap_or(10.0 * power);
     let (first, last) =
         ((range[0] / step - 1e-9).ceil() as i64, (range[1] / step + 1e-9).floor() as i64);
+    if last <= first && count < 8 {
+        return ticks(range, count + 1);
+    }
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
@@ -122,6 +126,7 @@ mod tests {
         assert_eq!(ticks([0.0, 25.0], 5), [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]);
         assert_eq!(ticks([-1.05, 1.05], 4), [-1.0, 0.0, 1.0]);
         assert_eq!(ticks([3.1, 3.9], 4), [3.2, 3.4000000000000004, 3.6, 3.8000000000000003]);
+        assert_eq!(ticks([22.0, 37.9], 3), [25.0, 30.0, 35.0]);
         assert_eq!(ticks([2.0, 2.0], 4), [2.0]);
         assert_eq!(ticks([0.0, f64::NAN], 4), [0.0]);
     }

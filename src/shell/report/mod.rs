@@ -75,6 +75,7 @@ pub fn outcome_text(outcome: Outcome) -> &'static str {
         Outcome::Timeout => "Time ran out",
         Outcome::Collision => "Collision",
         Outcome::Unreachable => "Goal unreachable",
+        Outcome::Interrupted => "Interrupted",
     }
 }
 

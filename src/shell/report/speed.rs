@@ -21,7 +21,8 @@ pub fn picture(record: &DriveRecord) -> String {
     let samples = &record.trace.samples;
     let first = samples.first().map_or(0.0, |s| s.t_s);
     let last = samples.last().map_or(0.0, |s| s.t_s);
-    let time = [first, if last > first { last } else { first + 1.0 }];
+    // From the first motion on, as the figures count it.
+    let time = [0.0, if last > first { last - first } else { 1.0 }];
     let fastest = samples.iter().map(|s| s.speed_mps).fold(record.speed_limit_mps, f64::max);
     let speed_frame = Frame {
         corner: [LEFT, 84.0],
@@ -123,9 +124,10 @@ fn thinned(
     samples: &[TraceSample],
     value: impl Fn(&TraceSample) -> f64,
 ) -> Vec<[f64; 2]> {
+    let first = samples.first().map_or(0.0, |s| s.t_s);
     let points: Vec<[f64; 2]> = samples
         .iter()
-        .map(|s| frame.place(s.t_s, value(s)))
+        .map(|s| frame.place(s.t_s - first, value(s)))
         .filter(|[x, y]| x.is_finite() && y.is_finite())
         .collect();
     let mut kept = Vec::new();

@@ -57,6 +57,7 @@ pub struct Rig {
     moved_m: f64,
     last_useful: Instant,
     outcome: Option<Outcome>,
+    interrupted: bool,
     scans_seen: u64,
     events: VecDeque<Event>,
     plan_ms: Vec<f64>,
@@ -137,6 +138,12 @@ impl Rig {
         }
     }
 
+    /// Ends the drive early: the car comes to rest along its plan, which ends the drive as
+    /// [`Outcome::Interrupted`].
+    pub fn interrupt(&mut self) {
+        self.interrupted = true;
+    }
+
     /// From now on keeps every request with its answer, for [`take_reports`](Self::take_reports).
     pub fn keep_reports(&mut self) {
         self.reports.get_or_insert_default();
@@ -189,9 +196,14 @@ impl Rig {
         }
         let verdict =
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
-        self.start_when_ready();
+        if self.interrupted {
+            // Refused where the car is at rest or coming to rest anyway.
+            let _ = self.core.handle_command(self.now, Command::Pause);
+        } else {
+            self.start_when_ready();
+        }
         self.judge_outcome(verdict.contact);
-        if self.steps % TRACE_STEPS == 0 && self.started.is_some() {
+        if self.steps.is_multiple_of(TRACE_STEPS) && self.started.is_some() {
             self.trace.samples.push(self.sample());
         }
     }
@@ -204,7 +216,11 @@ impl Rig {
             statistics.plan_ages.iter().map(|age| age.as_secs_f64() * 1e3).collect();
         let replans = statistics.replans;
         Summary {
-            outcome: self.outcome.unwrap_or(Outcome::Timeout),
+            outcome: self.outcome.unwrap_or(if self.interrupted {
+                Outcome::Interrupted
+            } else {
+                Outcome::Timeout
+            }),
             time_s: driven,
             path_m: self.moved_m,
             collisions: self.judge.collisions(),
@@ -296,7 +312,7 @@ impl Rig {
     fn start_when_ready(&mut self) {
         let Some(goal) = self.goal else { return };
         if self.core.mode() == Mode::Disarmed
-            && self.steps % 50 == 0
+            && self.steps.is_multiple_of(50)
             && self.core.handle_command(self.now, Command::Arm).is_ok()
             && self.core.handle_command(self.now, Command::Goto(goal)).is_ok()
         {
@@ -321,6 +337,8 @@ impl Rig {
             Some(Outcome::Goal)
         } else if self.core.faults().contains(Fault::GoalUnreachable) && !moving {
             Some(Outcome::Unreachable)
+        } else if self.interrupted && !moving {
+            Some(Outcome::Interrupted)
         } else if stands {
             Some(Outcome::Stuck)
         } else if waited > self.time_limit_s {

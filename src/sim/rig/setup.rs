@@ -8,6 +8,7 @@ use super::{DIGEST, Rig};
 use crate::autopilot::{Autopilot, CoreParams};
 use crate::frames::{Point, Pose};
 use crate::map::{Cell, CellIndex, CellRect, Grid};
+use crate::mapfile::PIXELS_MAX;
 use crate::plan::{Planner, PlannerParams, Planning, Policy, Stopwatch};
 use crate::predict::{self, PredictError, PredictParams, PredictorKind};
 use crate::sim::account::Account;
@@ -75,7 +76,7 @@ pub struct RigSetup {
 pub enum SetupError {
     /// The car does not fit where it is to start.
     #[error(
-        "the start ({x_m:.2}, {y_m:.2}) m is {distance_m:.2} m from the nearest wall, a car of radius {radius_m} m does not fit"
+        "the start ({x_m:.2}, {y_m:.2}) m is {distance_m:.2} m from the nearest wall (space that a map file calls unknown counts as one), but a car of radius {radius_m} m needs at least that much"
     )]
     StartBlocked {
         /// Metres.
@@ -87,13 +88,42 @@ pub enum SetupError {
         /// The car's radius, metres.
         radius_m: f64,
     },
-    /// The goal is inside a wall, or outside the map.
-    #[error("the goal ({x_m:.2}, {y_m:.2}) m is inside a wall or outside the map")]
+    /// The goal is inside a wall.
+    #[error(
+        "the goal ({x_m:.2}, {y_m:.2}) m is inside a wall (space that a map file calls unknown counts as one); it must be in the open"
+    )]
     GoalBlocked {
         /// Metres.
         x_m: f64,
         /// Metres.
         y_m: f64,
+    },
+    /// Start or goal are not on the map.
+    #[error(
+        "the {which} ({:.2}, {:.2}) m is outside the map, which reaches from ({:.2}, {:.2}) to ({:.2}, {:.2}) m",
+        at[0], at[1], low[0], low[1], high[0], high[1]
+    )]
+    OutsideMap {
+        /// `start` or `goal`.
+        which: &'static str,
+        /// Where it is, metres.
+        at: [f64; 2],
+        /// Lower left corner of the map, metres.
+        low: [f64; 2],
+        /// Its upper right corner, metres.
+        high: [f64; 2],
+    },
+    /// The true map does not fit the memory on the planner's grid.
+    #[error(
+        "the world has {cells:.0} cells of {resolution_m} m, but a true map given to the planner may have at most {allowed}"
+    )]
+    TruthTooLarge {
+        /// Cells that the true map would have.
+        cells: f64,
+        /// Side of a cell of the planner's grid, metres.
+        resolution_m: f64,
+        /// Most cells allowed.
+        allowed: u64,
     },
     /// The predictor cannot be made.
     #[error(transparent)]
@@ -103,9 +133,16 @@ pub enum SetupError {
 /// Slowest drive that a time limit without a known length assumes, seconds.
 const TIME_LIMIT_WITHOUT_WAY_S: f64 = 600.0;
 
+/// Most cells of the true map on the planner's grid: as many as a map file may have.
+const TRUTH_CELLS_MAX: u64 = PIXELS_MAX;
+
 impl RigSetup {
     pub(super) fn build(mut self) -> Result<Rig, SetupError> {
         let radius_m = self.core.vehicle.radius_m;
+        self.check_inside("start", self.start.position)?;
+        if let Some(goal) = self.goal {
+            self.check_inside("goal", goal)?;
+        }
         let distance_m = self.world.distance_m(self.start.position, 2.0 * radius_m);
         let Point { coords: at } = self.start.position;
         if distance_m < radius_m {
@@ -122,6 +159,9 @@ impl RigSetup {
         let resolution_m = self.core.map.resolution_m;
         let needs_truth = self.planner.plan.policy == Policy::KnownMap
             || matches!(self.predict.kind, PredictorKind::Oracle | PredictorKind::Inverted);
+        if needs_truth {
+            self.check_truth_size()?;
+        }
         let truth = needs_truth.then(|| Arc::new(grid_of(&self.world, resolution_m)));
         let mut core = Autopilot::new(self.core.clone(), self.layout, self.start, Instant::ZERO);
         let mut account =
@@ -172,6 +212,7 @@ impl RigSetup {
             moved_m: 0.0,
             last_useful: Instant::ZERO,
             outcome: None,
+            interrupted: false,
             scans_seen: 0,
             events: VecDeque::new(),
             plan_ms: Vec::new(),
@@ -182,6 +223,24 @@ impl RigSetup {
             core,
             world: self.world,
         })
+    }
+
+    fn check_inside(&self, which: &'static str, point: Point) -> Result<(), SetupError> {
+        if self.world.contains(point) {
+            return Ok(());
+        }
+        let [low, high] = self.world.bounds().map(|corner| [corner.x, corner.y]);
+        Err(SetupError::OutsideMap { which, at: [point.x, point.y], low, high })
+    }
+
+    fn check_truth_size(&self) -> Result<(), SetupError> {
+        let resolution_m = self.core.map.resolution_m;
+        let [low, high] = self.world.bounds();
+        let cells = ((high.x - low.x) / resolution_m) * ((high.y - low.y) / resolution_m);
+        if cells <= TRUTH_CELLS_MAX as f64 {
+            return Ok(());
+        }
+        Err(SetupError::TruthTooLarge { cells, resolution_m, allowed: TRUTH_CELLS_MAX })
     }
 
     /// Ten times the way's length at full speed and the time to get going and to stop.

@@ -19,6 +19,26 @@ fn at(world: &World, u: f64, v: f64) -> Point {
     world.origin().to_map(Point::new(u * world.resolution_m(), v * world.resolution_m()))
 }
 
+#[test]
+fn the_bounds_are_the_smallest_upright_rectangle_around_the_raster() {
+    for seed in 0..20 {
+        let world = random_world(seed, 10);
+        let (w, h) = (world.width() as f64, world.height() as f64);
+        let [low, high] = world.bounds();
+        let corners = [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)].map(|(u, v)| at(&world, u, v));
+        let least = |pick: fn(&Point) -> f64| corners.iter().map(pick).fold(f64::MAX, f64::min);
+        let most = |pick: fn(&Point) -> f64| corners.iter().map(pick).fold(f64::MIN, f64::max);
+        assert!((low - Point::new(least(|c| c.x), least(|c| c.y))).norm() < 1e-9);
+        assert!((high - Point::new(most(|c| c.x), most(|c| c.y))).norm() < 1e-9);
+        for (u, v, inside) in
+            [(0.1, 0.1, true), (w - 0.1, h - 0.1, true), (-0.1, 1.0, false), (1.0, h + 0.1, false)]
+        {
+            assert_eq!(world.contains(at(&world, u, v)), inside);
+        }
+        assert!(!world.contains(Point::new(f64::NAN, 0.0)));
+    }
+}
+
 /// Distance to the nearest solid square or to the raster's edge, looking at every cell.
 fn distance_by_looking_everywhere(world: &World, point: Point) -> f64 {
     let p = world.origin().to_body(point) / world.resolution_m();

@@ -1,0 +1,214 @@
+//! The simulated drive behind `apexd sil`: world and rig from what was asked for, the record of the
+//! drive from the rig.
+
+use std::path::Path;
+
+use super::pace;
+use super::report::{DriveRecord, outline};
+use super::sil::{Progress, RunError, SilRequest, Simulator, WorldSource};
+use crate::autopilot::{Action, CoreParams, Event};
+use crate::frames::{Point, Pose};
+use crate::mapfile;
+use crate::params::Params;
+use crate::plan::PlannerParams;
+use crate::sim::faults::FaultPlan;
+use crate::sim::maze::{self, Family};
+use crate::sim::rig::{Rig, RigSetup};
+use crate::sim::world::World;
+use crate::wire::can::Layout;
+
+/// Side of a cell of a maze, metres; a map file brings its own.
+const MAZE_RESOLUTION_M: f64 = 0.1;
+/// Simulated time between two looks at the progress, seconds.
+const PROGRESS_PERIOD_S: f64 = 0.1;
+
+/// Drives over the virtual bus in this process.
+pub struct RigSimulator;
+
+impl Simulator for RigSimulator {
+    fn drive(
+        &self,
+        request: &SilRequest,
+        progress: &mut dyn FnMut(&Progress),
+    ) -> Result<DriveRecord, RunError> {
+        let place = Place::of(request)?;
+        let truth = walls(&place.world);
+        let (start, goal) = (place.start, place.goal);
+        let mut rig = Rig::new(setup(request, place)).map_err(input)?;
+
+        let begin = pace::now();
+        let mut next_progress_s = 0.0;
+        pace::drive(&mut rig, request.realtime, |rig| {
+            while let Some(event) = rig.poll_event() {
+                log(&event);
+            }
+            let now_s = rig.now().as_secs_f64();
+            if now_s >= next_progress_s {
+                next_progress_s = now_s + PROGRESS_PERIOD_S;
+                progress(&Progress {
+                    time_s: now_s,
+                    speed_mps: rig.car().speed_mps,
+                    distance_m: rig.distance_m(),
+                    remaining_m: remaining_m(rig, goal),
+                    replans: rig.core().statistics().replans,
+                });
+            }
+        })
+        .map_err(|error| RunError::Failed(error.into()))?;
+        let wall_s = begin.elapsed().as_secs_f64();
+
+        let vehicle = &request.params.vehicle;
+        Ok(DriveRecord {
+            title: request.title(),
+            summary: rig.summary(wall_s),
+            trace: rig.trace().clone(),
+            grid: rig.core().grid().clone(),
+            truth,
+            start,
+            goal,
+            goal_radius_m: request.params.autopilot.goal_radius_m,
+            speed_limit_mps: request.params.speed.speed_max_mps,
+            force_limit_n: vehicle.mass_kg * vehicle.acceleration_limit_mps2(),
+        })
+    }
+
+    fn write_maze(&self, seed: u64, family: Family, out: &Path) -> Result<(), RunError> {
+        let maze = maze::generate(family, seed, MAZE_RESOLUTION_M).map_err(input)?;
+        mapfile::save(out, &maze.to_map_file()).map_err(input)
+    }
+}
+
+fn input(error: impl std::error::Error + Send + Sync + 'static) -> RunError {
+    RunError::Input(Box::new(error))
+}
+
+/// Where to drive, from where and to where.
+struct Place {
+    world: World,
+    start: Pose,
+    goal: Point,
+}
+
+impl Place {
+    fn of(request: &SilRequest) -> Result<Self, RunError> {
+        match &request.world {
+            WorldSource::Maze { seed, family } => {
+                let maze = maze::generate(*family, *seed, MAZE_RESOLUTION_M).map_err(input)?;
+                Ok(Self {
+                    start: request.start.unwrap_or(maze.start),
+                    goal: request.goal.unwrap_or(maze.goal),
+                    world: maze.world,
+                })
+            }
+            WorldSource::Map { file } => {
+                let missing = |what: &str| RunError::Input(format!("a map needs --{what}").into());
+                Ok(Self {
+                    start: request.start.ok_or_else(|| missing("start X,Y,DEG"))?,
+                    goal: request.goal.ok_or_else(|| missing("goal X,Y"))?,
+                    world: World::from_map(&mapfile::load(file).map_err(input)?),
+                })
+            }
+        }
+    }
+}
+
+fn setup(request: &SilRequest, place: Place) -> RigSetup {
+    let params = &request.params;
+    let begin = pace::now();
+    RigSetup {
+        world: place.world,
+        start: place.start,
+        goal: Some(place.goal),
+        core: core_params(params),
+        planner: planner_params(params),
+        predict: params.predict.clone(),
+        bus: params.bus.clone(),
+        lidar: params.lidar.clone(),
+        car: params.car.clone(),
+        controller: params.controller.clone(),
+        layout: Layout::Fd,
+        faults: FaultPlan::default(),
+        seed: request.seed,
+        latency: request.latency,
+        time_limit_s: request.time_limit_s,
+        stopwatch: Box::new(move || begin.elapsed()),
+        planning: None,
+    }
+}
+
+fn core_params(params: &Params) -> CoreParams {
+    CoreParams {
+        vehicle: params.vehicle.clone(),
+        autopilot: params.autopilot.clone(),
+        map: params.map.clone(),
+        control: params.control.clone(),
+        guard: params.guard.clone(),
+        certify: params.certify.clone(),
+        speed: params.speed.clone(),
+    }
+}
+
+fn planner_params(params: &Params) -> PlannerParams {
+    PlannerParams {
+        vehicle: params.vehicle.clone(),
+        plan: params.plan.clone(),
+        search: params.search.clone(),
+        manoeuvre: params.manoeuvre.clone(),
+        smooth: params.smooth.clone(),
+        speed: params.speed.clone(),
+        certify: params.certify.clone(),
+    }
+}
+
+/// Where solid and free touch, map frame.
+fn walls(world: &World) -> Vec<[Point; 2]> {
+    let solid = |x: usize, y: usize| world.is_cell_solid(x as i64, y as i64);
+    let (origin, resolution_m) = (world.origin(), world.resolution_m());
+    outline(world.width(), world.height(), solid, |p| origin.to_map(p * resolution_m))
+}
+
+/// What is left of the newest plan, how the path is imagined to go on, and from there straight to
+/// the goal.
+fn remaining_m(rig: &Rig, goal: Point) -> f64 {
+    let plan = rig.core().committed().newest();
+    let stop = plan.trajectory.last().path;
+    let mut from = stop.position;
+    let mut length_m = stop.s_m - plan.trajectory.at(rig.now()).path.s_m;
+    for point in plan.beyond.points.iter().map(|p| p.position).chain([goal]) {
+        length_m += (point - from).norm();
+        from = point;
+    }
+    length_m
+}
+
+/// What the core has to say, for the log.
+fn log(event: &Event) {
+    let seconds = |at: &crate::time::Instant| format!("{:.3}", at.as_secs_f64());
+    match event {
+        Event::ModeChanged { at, from, to } => {
+            tracing::info!(t_s = seconds(at), "{} -> {}", from.name(), to.name());
+        }
+        Event::FaultRaised { at, fault } if fault.row().action == Action::Report => {
+            tracing::info!(t_s = seconds(at), "{}", fault.name());
+        }
+        Event::FaultRaised { at, fault } => {
+            tracing::warn!(t_s = seconds(at), "{}: {}", fault.name(), fault.row().detection);
+        }
+        Event::FaultCleared { at, fault } => {
+            tracing::info!(t_s = seconds(at), "{} is over", fault.name());
+        }
+        Event::PlanAdopted { number, stop, length_m } => {
+            tracing::trace!(number, x_m = stop.x, y_m = stop.y, length_m, "plan adopted");
+        }
+        Event::PlanRejected { number, rejection } => {
+            tracing::debug!(number, ?rejection, "no plan");
+        }
+        Event::PlanLate { number } => tracing::info!(number, "plan came too late"),
+        Event::PlanShortened { at, number } => {
+            tracing::info!(t_s = seconds(at), number, "plan cut short: something stands on it");
+        }
+        Event::GoalReached { at, position } => {
+            tracing::info!(t_s = seconds(at), x_m = position.x, y_m = position.y, "at the goal");
+        }
+    }
+}
