@@ -83,9 +83,13 @@ def centre_line(record):
     return np.array(points)
 
 
-def driven_line(record):
-    """Where the drive to compare went."""
-    return np.array(record["course"])[:, 1:3]
+def driven(record, spacing):
+    """The drive to compare, as a first reference."""
+    course = np.array(record["course"])
+    arcs = arcs_through(resampled(course[:, 1:3], spacing), 1.0)
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(course[:, 1:3], axis=0), axis=1))])
+    arcs.v = np.maximum(np.interp(arcs.s, s, course[:, 4]), 0.1)
+    return arcs
 
 
 def resampled(points, spacing):
@@ -235,6 +239,7 @@ class Optimum:
         options = {
             "ipopt.print_level": 0,
             "print_time": False,
+            "expand": True,
             "ipopt.max_iter": 1500,
             "ipopt.tol": 1e-8,
             "ipopt.bound_relax_factor": 1e-9,
@@ -276,8 +281,13 @@ class Optimum:
             self.goal[1] + reach[1],
         )
 
-    def run(self, line, shortest=False):
-        drive = arcs_through(resampled(line, self.spacing), min(self.v_max, 2.0))
+    def run(self, origin="route", shortest=False):
+        """The optimum, from the middle of the hallway or from the drive."""
+        if origin == "route":
+            line = resampled(centre_line(self.record), self.spacing)
+            drive = arcs_through(line, min(self.v_max, 2.0))
+        else:
+            drive = driven(self.record, self.spacing)
         x, y, heading = self.record["start"]
         drive.psi += 2 * np.pi * np.round((heading - drive.psi[0]) / (2 * np.pi))
         drive.x[0], drive.y[0], drive.psi[0] = x, y, heading
@@ -362,9 +372,8 @@ def main():
     for file in args.files:
         record = json.loads(file.read_text())
         optimum = Optimum(record, args.spacing, args.grip, print if args.verbose else None)
-        line = centre_line(record) if args.origin == "route" else driven_line(record)
         begun = time.process_time()
-        drive = optimum.run(line)
+        drive = optimum.run(args.origin)
         figures = check(record, drive, args.grip)
         broken = violations(record, figures)
         failed |= bool(broken)
@@ -381,7 +390,7 @@ def main():
             "clearance_lack_mm": round(1e3 * figures["clearance_lack_m"], 3),
         }
         if args.shortest:
-            length = optimum.run(line, shortest=True).s[-1]
+            length = optimum.run(args.origin, shortest=True).s[-1]
             v, grip = record["speed_max_mps"], args.grip * record["acceleration_limit_mps2"]
             row["bound_s"] = round(float(length / v + v / grip), 4)
         rows.append(row)
