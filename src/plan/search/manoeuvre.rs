@@ -7,7 +7,7 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use super::astar::{DIAGONAL, STRAIGHT};
+use super::window::{DIAGONAL, STRAIGHT};
 use super::buckets::Buckets;
 use super::dubins::{self, Dubins};
 use super::{Guide, cell_at};

@@ -2,10 +2,14 @@
 //! metres of it in a form that a car without reverse can drive.
 
 mod astar;
+mod boards;
 mod buckets;
 mod dubins;
+mod jump;
+mod literal;
 mod manoeuvre;
 mod pull;
+mod window;
 
 pub use astar::{GuideSearch, SearchError};
 pub use manoeuvre::{
