@@ -9,6 +9,7 @@ use std::collections::BinaryHeap;
 
 use super::boards::Boards;
 use super::buckets::{Buckets, SPAN};
+use super::jump::longest_jump;
 use super::pull::Puller;
 use super::window::{
     Asker, BLOCKED, Block, CELLS_MAX, DIAGONAL, Pricing, STRAIGHT, Window,
@@ -16,7 +17,7 @@ use super::window::{
 use super::{Guide, Penalty, SearchParams, SearchQuery, Terrain, cell_at};
 use crate::frames::Point;
 use crate::map::{Cell, CellIndex, CellRect};
-use crate::predict::OccupancyView;
+use crate::predict::{OccupancyView, SILENT};
 
 /// The longest way in units of cost; what exceeds it is not followed. With one more jump it
 /// still fits into a [`Node`].
@@ -26,11 +27,6 @@ pub(super) const COST_MAX: u32 = (u32::MAX >> STEP_BITS) - SPAN as u32;
 /// between the straight ones `i - 4` and `(i - 3) % 4`.
 pub(super) const STEPS: [(i32, i32); 8] =
     [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
-/// The steps that can be part of a cheapest way after arriving by a step where everything around
-/// has the same weight: every other neighbour is reached at less cost from the cell before.
-pub(super) const AHEAD: [[usize; 3]; 8] =
-    [[0, 4, 7], [1, 4, 5], [2, 5, 6], [3, 6, 7], [0, 1, 4], [1, 2, 5], [2, 3, 6], [0, 3, 7]];
-
 /// Why there is no way.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SearchError {
@@ -183,7 +179,17 @@ impl GuideSearch {
         );
         check(terrain, query)?;
         let rect = window_rect(terrain, query, params.border_m)?;
-        self.window.fill(&mut self.boards, terrain, rect, query.through_unknown);
+        let pricing = Pricing {
+            penalty: params.penalty,
+            alpha: params.alpha,
+            eps: params.eps,
+            v_ref_mps: query.v_ref_mps,
+        };
+        let silent_weight = pricing.weight(SILENT);
+        let silent_jump = longest_jump(silent_weight);
+        let silent = (params.penalty == Penalty::Edge && silent_jump.is_some())
+            .then_some((silent_weight, &*view));
+        self.window.fill(&mut self.boards, terrain, rect, query.through_unknown, silent);
         for at in self.written.drain(..) {
             self.nodes[at as usize] = UNREACHED;
         }
@@ -195,20 +201,11 @@ impl GuideSearch {
 
         let start = self.start_cell(terrain, query)?;
         let target = self.target(terrain, query)?;
-        let mut asker = Asker {
-            view,
-            pricing: Pricing {
-                penalty: params.penalty,
-                alpha: params.alpha,
-                eps: params.eps,
-                v_ref_mps: query.v_ref_mps,
-            },
-            asked: 0,
-        };
+        let mut asker = Asker { view, pricing, asked: 0 };
         self.boards.finish();
         asker.ask_around(&mut self.window, &mut self.block, start.0, start.1);
         let (end, expanded) = match params.penalty {
-            Penalty::Edge => self.run_edge(start, target, &mut asker)?,
+            Penalty::Edge => self.run_edge(start, target, &mut asker, silent_jump.unwrap_or(1))?,
             Penalty::Literal => self.run_literal(start, target, &mut asker)?,
         };
         let asked = asker.asked;

@@ -1,10 +1,11 @@
 //! One bit per cell: where the search may run straight on without looking at the cells one by one.
 //!
-//! In a region of equal cost the cheapest ways have a normal form: diagonal steps first, then
+//! In a region of equal weight the cheapest ways have a normal form: diagonal steps first, then
 //! straight ones, turning only where the end of an obstacle is passed. A search in this form can
 //! jump over all cells in between (Harabor and Grastien, "Online Graph Pruning for Pathfinding on
 //! Grid Maps", AAAI 2011; without cutting corners and by words of bits: "Improving Jump Point
-//! Search", ICAPS 2014). Here the region is what is known to be free.
+//! Search", ICAPS 2014). Here such regions are what is known to be free, and what is
+//! unknown and not foreseen either.
 
 use super::window::Class;
 
@@ -12,10 +13,10 @@ use super::window::Class;
 #[derive(Default)]
 struct Lines {
     words: usize,
-    /// Known-free cells.
-    free: Vec<u64>,
-    /// Where a run in rising direction ends: at a cell that is not free, at a mixed cell, or where
-    /// a cell beside the run is free whose predecessor is not.
+    /// Cells of a region of equal weight.
+    plain: Vec<u64>,
+    /// Where a run in rising direction ends: at a cell that is not plain, at a mixed cell, or
+    /// where a cell beside the run is plain whose predecessor is not.
     rising: Vec<u64>,
     /// The same in falling direction.
     falling: Vec<u64>,
@@ -26,8 +27,8 @@ struct Lines {
 pub(super) struct Run {
     /// The cell that ends it, along the line.
     pub(super) at: u32,
-    /// Whether that is a free cell, at which a cheapest way may turn.
-    pub(super) free: bool,
+    /// Whether that is a plain cell, at which a cheapest way may turn.
+    pub(super) plain: bool,
 }
 
 /// Each bit moved to the next cell of the line.
@@ -43,18 +44,18 @@ fn previous(line: &[u64], word: usize) -> u64 {
 impl Lines {
     fn resize(&mut self, words: usize, lines: usize) {
         self.words = words;
-        for board in [&mut self.free, &mut self.rising, &mut self.falling] {
+        for board in [&mut self.plain, &mut self.rising, &mut self.falling] {
             board.clear();
             board.resize(words * lines, 0);
         }
     }
 
-    /// Ends of runs in all lines but the first and the last, which hold no free cell.
+    /// Ends of runs in all lines but the first and the last, which hold no plain cell.
     fn mark_ends(&mut self, mixed: &[u64]) {
         let n = self.words;
-        let lines = self.free.len() / n;
+        let lines = self.plain.len() / n;
         for line in 1..lines - 1 {
-            let row = |line: usize| &self.free[line * n..(line + 1) * n];
+            let row = |line: usize| &self.plain[line * n..(line + 1) * n];
             let (low, own, high) = (row(line - 1), row(line), row(line + 1));
             for word in 0..n {
                 let at = line * n + word;
@@ -93,8 +94,8 @@ impl Lines {
             }
             ((word - base) * 64) as u32 + 63 - bits.leading_zeros()
         };
-        let free = self.free[base + at as usize / 64] >> (at % 64) & 1 != 0;
-        Run { at, free }
+        let plain = self.plain[base + at as usize / 64] >> (at % 64) & 1 != 0;
+        Run { at, plain }
     }
 }
 
@@ -103,6 +104,8 @@ impl Lines {
 pub(super) struct Boards {
     rows: Lines,
     columns: Lines,
+    free: Vec<u64>,
+    silent: Vec<u64>,
     unknown: Vec<u64>,
     mixed: Vec<u64>,
     height: usize,
@@ -114,7 +117,7 @@ impl Boards {
         self.height = height;
         self.rows.resize(stride.div_ceil(64), height);
         self.columns.resize(height.div_ceil(64), stride);
-        for board in [&mut self.unknown, &mut self.mixed] {
+        for board in [&mut self.free, &mut self.silent, &mut self.unknown, &mut self.mixed] {
             board.clear();
             board.resize(self.rows.words * height, 0);
         }
@@ -127,13 +130,16 @@ impl Boards {
         let pack = |lowest: u64| lowest.wrapping_mul(0x0102_0408_1020_4080) >> 56;
         let at = y * self.rows.words;
         for (word, classes) in classes.chunks_exact(64).enumerate() {
-            let (mut free, mut unknown) = (0, 0);
+            let (mut free, mut silent, mut unknown) = (0, 0, 0);
             for (byte, eight) in classes.as_chunks::<8>().0.iter().enumerate() {
                 let eight = u64::from_le_bytes(*eight);
                 free |= pack(eight & LOWEST) << (8 * byte);
-                unknown |= pack(eight >> 1 & LOWEST) << (8 * byte);
+                silent |= pack(eight >> 1 & LOWEST) << (8 * byte);
+                unknown |= pack(eight >> 2 & LOWEST) << (8 * byte);
             }
-            self.rows.free[at + word] = free;
+            self.rows.plain[at + word] = free | silent;
+            self.free[at + word] = free;
+            self.silent[at + word] = silent;
             self.unknown[at + word] = unknown;
         }
     }
@@ -147,42 +153,48 @@ impl Boards {
     pub(super) fn finish(&mut self) {
         let n = self.rows.words;
         for y in 1..self.height - 1 {
-            let row = |y: usize| &self.unknown[y * n..(y + 1) * n];
-            let around = [row(y - 1), row(y), row(y + 1)];
+            let around = |board: &[u64], word: usize| {
+                [y - 1, y, y + 1].iter().fold(0, |any, y| {
+                    let row = &board[y * n..(y + 1) * n];
+                    any | row[word] | next(row, word) | previous(row, word)
+                })
+            };
             for word in 0..n {
-                let wide = |row: &[u64]| row[word] | next(row, word) | previous(row, word);
-                let unknown = around.iter().fold(0, |any, row| any | wide(row));
-                self.mixed[y * n + word] |= unknown;
-                self.mixed[y * n + word] &= self.rows.free[y * n + word];
+                let at = y * n + word;
+                let other = around(&self.unknown, word)
+                    | (self.free[at] & around(&self.silent, word))
+                    | (self.silent[at] & around(&self.free, word));
+                self.mixed[at] = (self.mixed[at] | other) & self.rows.plain[at];
             }
         }
         self.rows.mark_ends(&self.mixed);
-        transpose(&self.rows.free, n, self.height, &mut self.columns.free, self.columns.words);
+        transpose(&self.rows.plain, n, self.height, &mut self.columns.plain, self.columns.words);
         // The unknown is not needed any more: its memory serves for the mixed cells by columns.
         self.unknown.clear();
-        self.unknown.resize(self.columns.free.len(), 0);
+        self.unknown.resize(self.columns.plain.len(), 0);
         transpose(&self.mixed, n, self.height, &mut self.unknown, self.columns.words);
         self.columns.mark_ends(&self.unknown);
     }
 
+    /// Whether a cell is known to be free, or unknown without being foreseen.
     #[inline(always)]
-    pub(super) fn free(&self, x: u32, y: u32) -> bool {
-        self.rows.free[y as usize * self.rows.words + x as usize / 64] >> (x % 64) & 1 != 0
+    pub(super) fn plain(&self, x: u32, y: u32) -> bool {
+        self.rows.plain[y as usize * self.rows.words + x as usize / 64] >> (x % 64) & 1 != 0
     }
 
-    /// Whether a free cell has an unknown one around it, or is a goal.
+    /// Whether a plain cell has a cell of another weight around it, or is a goal.
     #[inline(always)]
     pub(super) fn mixed(&self, x: u32, y: u32) -> bool {
         self.mixed[y as usize * self.rows.words + x as usize / 64] >> (x % 64) & 1 != 0
     }
 
-    /// Runs along x from a free cell that is not mixed.
+    /// Runs along x from a plain cell that is not mixed.
     #[inline(always)]
     pub(super) fn run_x(&self, x: u32, y: u32, rising: bool) -> Run {
         self.rows.run(y, x, rising)
     }
 
-    /// Runs along y from a free cell that is not mixed.
+    /// Runs along y from a plain cell that is not mixed.
     #[inline(always)]
     pub(super) fn run_y(&self, x: u32, y: u32, rising: bool) -> Run {
         self.columns.run(x, y, rising)
@@ -244,7 +256,8 @@ mod tests {
             for y in 1..height - 1 {
                 for x in 1..width - 1 {
                     let other = if rng.random_bool(0.8) { CLASS_BLOCKED } else { CLASS_UNKNOWN };
-                    classes[y * width + x] = if rng.random_bool(free) { CLASS_FREE } else { other };
+                    let plain = if x * 3 > width { CLASS_FREE } else { CLASS_SILENT };
+                    classes[y * width + x] = if rng.random_bool(free) { plain } else { other };
                 }
             }
             let mut boards = Boards::default();
@@ -257,29 +270,30 @@ mod tests {
             }
             boards.finish();
             let class = |x: i64, y: i64| classes[y as usize * width + x as usize];
-            let is_free = |x, y| class(x, y) == CLASS_FREE;
+            let is_plain = |x, y| [CLASS_FREE, CLASS_SILENT].contains(&class(x, y));
             let mixed = |x: i64, y: i64| {
-                is_free(x, y)
-                    && (-1..=1).any(|dy| (-1..=1).any(|dx| class(x + dx, y + dy) == CLASS_UNKNOWN))
+                let other = |other| other != CLASS_BLOCKED && other != class(x, y);
+                is_plain(x, y)
+                    && (-1..=1).any(|dy| (-1..=1).any(|dx| other(class(x + dx, y + dy))))
             };
             for y in 1..height as i64 - 1 {
                 for x in 1..width as i64 - 1 {
                     let (ux, uy) = (x as u32, y as u32);
-                    assert_eq!(boards.free(ux, uy), is_free(x, y));
+                    assert_eq!(boards.plain(ux, uy), is_plain(x, y));
                     assert_eq!(boards.mixed(ux, uy), mixed(x, y));
-                    if !is_free(x, y) {
+                    if !is_plain(x, y) {
                         continue;
                     }
                     for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
                         let (mut cx, mut cy) = (x, y);
-                        let free = loop {
+                        let plain = loop {
                             (cx, cy) = (cx + dx, cy + dy);
-                            if !is_free(cx, cy) {
+                            if !is_plain(cx, cy) {
                                 break false;
                             }
                             let opens = |side: i64| {
                                 let (sx, sy) = (cx + side * dy, cy + side * dx);
-                                is_free(sx, sy) && !is_free(sx - dx, sy - dy)
+                                is_plain(sx, sy) && !is_plain(sx - dx, sy - dy)
                             };
                             if mixed(cx, cy) || opens(1) || opens(-1) {
                                 break true;
@@ -291,7 +305,7 @@ mod tests {
                             boards.run_y(ux, uy, dy > 0)
                         };
                         let at = if dy == 0 { cx } else { cy } as u32;
-                        assert_eq!(run, Run { at, free }, "from {x} {y} by {dx} {dy}");
+                        assert_eq!(run, Run { at, plain }, "from {x} {y} by {dx} {dy}");
                     }
                 }
             }

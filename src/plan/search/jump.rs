@@ -1,6 +1,7 @@
 //! The search for the cheapest way of the grid.
 //!
-//! Cell by cell in and beside the unknown, by jumps where all around is known (see `boards`).
+//! Cell by cell in and beside the unknown, by jumps where all around weighs the same or is
+//! blocked (see `boards`).
 //!
 //! Why jumping loses no cheapest way: let a cell's cost be reached through one of its neighbours.
 //! A straight last step is left out only where another way to the cell is strictly cheaper. A
@@ -8,18 +9,42 @@
 //! straight step, which is not left out.
 
 use super::astar::{
-    AHEAD, COST_MAX, GuideSearch, Node, STEP_BITS, STEP_MASK, STEPS, SearchError, Target, UNREACHED,
+    COST_MAX, GuideSearch, Node, STEP_BITS, STEP_MASK, STEPS, SearchError, Target, UNREACHED,
 };
 use super::boards::Boards;
 use super::buckets::{Buckets, SPAN};
-use super::window::{Asker, BLOCKED, DIAGONAL, STRAIGHT, UNASKED};
+use super::window::{Asker, BLOCKED, DIAGONAL, KNOWN, STRAIGHT, UNASKED};
 
-/// The longest straight part of a jump, cells.
-const STRAIGHT_MAX: u32 = 128;
-/// The longest diagonal part of a jump, cells.
-const DIAGONAL_MAX: u32 = 64;
+/// The longest diagonal part of a jump over known-free cells; the straight part is at most twice as
+/// long.
+const LONGEST: u32 = 64;
 // A jump adds at most twice its cost to the key: once as cost, once because the goal is farther.
-const _: () = assert!(2 * (STRAIGHT_MAX * STRAIGHT + DIAGONAL_MAX * DIAGONAL) < SPAN as u32);
+const _: () = assert!(2 * LONGEST * (2 * STRAIGHT + DIAGONAL) < SPAN as u32);
+/// Shorter jumps are not worth it; cells in which they are the longest are taken one by one.
+const SHORTEST: u32 = 8;
+
+/// The longest diagonal part of a jump over cells of equal weight, or `None` if they are too costly
+/// to jump.
+pub(super) fn longest_jump(weight: u16) -> Option<u32> {
+    let longest = LONGEST * u32::from(KNOWN) / u32::from(weight);
+    Some(longest.min(LONGEST)).filter(|longest| *longest >= SHORTEST)
+}
+
+/// Bit `i` of entry `s`: after arriving by step `s`, step `i` leads to a cell that is reached at
+/// less cost from the cell before, whatever anything weighs (where it may be entered from there
+/// at all, it is a straight step away or the cell before itself).
+const BEHIND: [u8; 8] = {
+    let mut behind = [0; 8];
+    let mut s = 0;
+    while s < 4 {
+        let back = (s + 2) % 4;
+        behind[s] = 1 << back | 1 << (4 + back) | 1 << (4 + (back + 3) % 4);
+        // Diagonal `4 + s` came from between the straight steps `s` and `s + 1`.
+        behind[4 + s] = 1 << back | 1 << ((s + 3) % 4) | 1 << (4 + back);
+        s += 1;
+    }
+    behind
+};
 
 /// What has been reached, and the queue of what to expand.
 struct Open<'a> {
@@ -48,11 +73,17 @@ impl Open<'_> {
     }
 }
 
-/// A free cell around which all is known, being expanded.
+/// A plain cell that is not mixed, being expanded.
 struct Jump<'a, 'b> {
     boards: &'a Boards,
     open: &'a mut Open<'b>,
     parent: usize,
+    /// Cost of a straight step.
+    straight: u32,
+    /// Cost of a diagonal step.
+    diagonal: u32,
+    /// Most diagonal steps.
+    longest: u32,
 }
 
 impl Jump<'_, '_> {
@@ -66,12 +97,12 @@ impl Jump<'_, '_> {
         } else {
             self.boards.run_y(x, y, rising)
         };
-        if run.free {
+        if run.plain {
             let from = if along_x { x } else { y };
-            let length = run.at.abs_diff(from).min(STRAIGHT_MAX);
+            let length = run.at.abs_diff(from).min(2 * self.longest);
             let to = if rising { from + length } else { from - length };
             let (x, y) = if along_x { (to, y) } else { (x, to) };
-            self.open.relax(x, y, g + length * STRAIGHT, step, self.parent);
+            self.open.relax(x, y, g + length * self.straight, step, self.parent);
         }
     }
 
@@ -79,15 +110,15 @@ impl Jump<'_, '_> {
     #[inline(always)]
     fn diagonal(&mut self, mut x: u32, mut y: u32, mut g: u32, step: usize) {
         let (dx, dy) = STEPS[step];
-        for length in 1..=DIAGONAL_MAX {
+        for length in 1..=self.longest {
             let (nx, ny) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
             let boards = self.boards;
-            if !(boards.free(nx, y) && boards.free(x, ny) && boards.free(nx, ny)) {
+            if !(boards.plain(nx, y) && boards.plain(x, ny) && boards.plain(nx, ny)) {
                 return;
             }
             (x, y) = (nx, ny);
-            g += DIAGONAL;
-            if length == DIAGONAL_MAX || boards.mixed(x, y) {
+            g += self.diagonal;
+            if length == self.longest || boards.mixed(x, y) {
                 self.open.relax(x, y, g, step, self.parent);
                 return;
             }
@@ -111,7 +142,7 @@ impl Jump<'_, '_> {
             let (sx, sy) = STEPS[side];
             let (bx, by) = (x.wrapping_add_signed(sx), y.wrapping_add_signed(sy));
             let (px, py) = (bx.wrapping_add_signed(-dx), by.wrapping_add_signed(-dy));
-            if self.boards.free(bx, by) && !self.boards.free(px, py) {
+            if self.boards.plain(bx, by) && !self.boards.plain(px, py) {
                 self.straight(x, y, g, side);
                 let between = if side == (step + 1) % 4 { 4 + step } else { 4 + side };
                 self.diagonal(x, y, g, between);
@@ -134,6 +165,7 @@ impl GuideSearch {
         start: (u32, u32),
         target: Target,
         asker: &mut Asker<'_>,
+        silent_jump: u32,
     ) -> Result<((u32, u32), usize), SearchError> {
         let Self { window, boards, nodes, parents, written, queue, block, .. } = self;
         let from = window.index(start.0, start.1);
@@ -160,23 +192,29 @@ impl GuideSearch {
             }
             expanded += 1;
             let step = (node & STEP_MASK) as usize;
-            if boards.free(x, y) && !boards.mixed(x, y) {
-                let mut jump = Jump { boards, open: &mut open, parent: at };
+            let own = window.weights[at];
+            let straight = 2 * u32::from(own);
+            let diagonal = straight * DIAGONAL / STRAIGHT;
+            if boards.plain(x, y) && !boards.mixed(x, y) {
+                let longest = if own == KNOWN { LONGEST } else { silent_jump };
+                let open = &mut open;
+                let mut jump = Jump { boards, open, parent: at, straight, diagonal, longest };
                 if at == from { jump.start(x, y) } else { jump.expand(x, y, g, step) }
                 continue;
             }
-            let own = window.weights[at];
             let mut around = window.around(at);
             let mut relax = |step: usize, cost: u32| {
                 let (dx, dy) = STEPS[step];
                 let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
                 open.relax(x, y, g + cost, step, at);
             };
-            let straight = 2 * u32::from(own);
             if around.iter().fold(0, |odd, w| odd | (w ^ own)) == 0 && at != from {
-                let diagonal = straight * DIAGONAL / STRAIGHT;
-                for &step in &AHEAD[step] {
-                    relax(step, if step < 4 { straight } else { diagonal });
+                if step < 4 {
+                    relax(step, straight);
+                } else {
+                    relax(step - 4, straight);
+                    relax((step - 3) % 4, straight);
+                    relax(step, diagonal);
                 }
                 continue;
             }
@@ -184,9 +222,10 @@ impl GuideSearch {
                 asker.ask_around(window, block, x, y);
                 around = window.around(at);
             }
+            let behind = if at == from { 0 } else { BEHIND[step] };
             for (step, weight) in around.iter().enumerate() {
                 let both = u32::from(own) + u32::from(*weight);
-                if *weight == BLOCKED {
+                if *weight == BLOCKED || behind >> step & 1 != 0 {
                 } else if step < 4 {
                     relax(step, both);
                 } else if around[step - 4] != BLOCKED && around[(step - 3) % 4] != BLOCKED {

@@ -2,7 +2,7 @@
 
 use super::boards::Boards;
 use super::{Penalty, Terrain};
-use crate::frames::Point;
+use crate::frames::{Point, Vector};
 use crate::map::{Cell, CellIndex, CellRect};
 use crate::predict::OccupancyView;
 
@@ -23,6 +23,7 @@ const FACTOR_MAX: f64 = 320.0;
 const LITERAL_FACTOR_MAX: f64 = 900.0;
 /// The view is asked for blocks of this many cells by as many, as a power of two.
 const BLOCK_SHIFT: u32 = 3;
+const SIDE: usize = 1 << BLOCK_SHIFT;
 /// The largest window that is searched, cells (a square of 280 m at 0.1 m).
 pub(super) const CELLS_MAX: usize = 8_000_000;
 
@@ -38,8 +39,9 @@ pub(super) struct Window {
     pub(super) resolution_m: f64,
     /// Weight of each cell: [`BLOCKED`], [`UNASKED`], or what half a straight step costs.
     pub(super) weights: Vec<u16>,
-    /// Scratch: one row.
+    /// Scratch: one row, and what its unknown cells are.
     classes: Vec<Class>,
+    unknown_row: Vec<Class>,
 }
 
 /// What a cell is, as a byte whose lowest bits can be gathered into words.
@@ -48,29 +50,42 @@ pub(super) type Class = u8;
 pub(super) const CLASS_BLOCKED: Class = 0;
 /// Known to be free.
 pub(super) const CLASS_FREE: Class = 1;
-/// May be entered at the price of the unknown.
-pub(super) const CLASS_UNKNOWN: Class = 2;
+/// Unknown and nothing is foreseen there: all such cells weigh the same.
+pub(super) const CLASS_SILENT: Class = 2;
+/// May be entered at the price that the view is to be asked for.
+pub(super) const CLASS_UNKNOWN: Class = 4;
 
 impl Window {
+    /// Takes in the terrain within `rect`; `silent` is the weight of cells for which the view
+    /// need not be asked, where there may be such cells.
     pub(super) fn fill(
         &mut self,
         boards: &mut Boards,
         terrain: &Terrain<'_>,
         rect: CellRect,
         through_unknown: bool,
+        silent: Option<(u16, &dyn OccupancyView)>,
     ) {
         let unknown = if through_unknown { CLASS_UNKNOWN } else { CLASS_BLOCKED };
+        let silent = silent.filter(|_| through_unknown);
+        let silent_weight = silent.map_or(UNASKED, |(weight, _)| weight);
         let (width, height) = (rect.width(), rect.height());
         self.stride = width + 2;
         self.rows = height + 2;
         self.origin = CellIndex::new(rect.x0 - 1, rect.y0 - 1);
         self.resolution_m = terrain.resolution_m;
+        let corner = |x: u32, y: u32| {
+            let corner = |origin: i32, i: u32| (f64::from(origin) + f64::from(i)) * terrain.resolution_m;
+            Point::new(corner(rect.x0 - 1, x), corner(rect.y0 - 1, y))
+        };
         // Every cell is written below.
         self.weights.resize(self.stride * self.rows, BLOCKED);
         boards.resize(self.stride, self.rows);
         let classes = &mut self.classes;
         classes.clear();
         classes.resize(self.stride.next_multiple_of(64), CLASS_BLOCKED);
+        self.unknown_row.clear();
+        self.unknown_row.resize(width, unknown);
         let bounds = terrain.bounds;
         let left = (bounds.x0 - self.origin.ix) as usize;
         for (y, weights) in self.weights.chunks_exact_mut(self.stride).enumerate() {
@@ -78,7 +93,17 @@ impl Window {
                 weights.fill(BLOCKED);
                 continue;
             }
-            classes[1..=width].fill(unknown);
+            if let Some((_, view)) = silent.filter(|_| y == 1 || y % SIDE == 0) {
+                let blocks = self.unknown_row.chunks_mut(SIDE).enumerate();
+                let low = corner(0, (y / SIDE * SIDE) as u32);
+                for (i, cells) in blocks {
+                    let low = Point::new(corner((i * SIDE + 1) as u32, 0).x, low.y);
+                    let high = low + Vector::repeat(SIDE as f64 * terrain.resolution_m);
+                    let class = if view.silent(low, high) { CLASS_SILENT } else { CLASS_UNKNOWN };
+                    cells.fill(class);
+                }
+            }
+            classes[1..=width].copy_from_slice(&self.unknown_row);
             let row = y as i64 + i64::from(self.origin.iy) - i64::from(bounds.y0);
             if (0..bounds.height() as i64).contains(&row) {
                 let from = row as usize * bounds.width();
@@ -87,7 +112,7 @@ impl Window {
                 let out = &mut classes[left..left + bounds.width()];
                 for ((class, cell), lethal) in out.iter_mut().zip(cells).zip(lethal) {
                     let open = match cell {
-                        Cell::Unknown => unknown,
+                        Cell::Unknown => *class,
                         Cell::Free => CLASS_FREE,
                         Cell::Occupied => CLASS_BLOCKED,
                     };
@@ -96,6 +121,7 @@ impl Window {
             }
             for (weight, class) in weights.iter_mut().zip(&*classes) {
                 let open = if *class == CLASS_FREE { KNOWN } else { BLOCKED };
+                let open = if *class == CLASS_SILENT { silent_weight } else { open };
                 *weight = if *class == CLASS_UNKNOWN { UNASKED } else { open };
             }
             boards.set_row(y, classes);
@@ -137,7 +163,7 @@ pub(super) struct Pricing {
 }
 
 impl Pricing {
-    fn weight(&self, phi: f32) -> u16 {
+    pub(super) fn weight(&self, phi: f32) -> u16 {
         let phi = if (0.0..=1.0).contains(&phi) { f64::from(phi) } else { 0.5 };
         let penalty = self.alpha / (1.0 - phi + self.eps);
         let factor = match self.penalty {
