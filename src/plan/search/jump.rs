@@ -71,6 +71,21 @@ impl Open<'_> {
             self.queue.push(g + self.target.bound(x, y), y << 16 | x);
         }
     }
+
+    /// Notes that a jump passes over a cell, and whether it is the cheapest so far to get there.
+    #[inline(always)]
+    fn pass(&mut self, x: u32, y: u32, g: u32, step: usize) -> bool {
+        let at = y as usize * self.stride + x as usize;
+        let node = &mut self.nodes[at];
+        if *node >> STEP_BITS <= g {
+            return false;
+        }
+        if *node == UNREACHED {
+            self.written.push(at as u32);
+        }
+        *node = g << STEP_BITS | step as u32;
+        true
+    }
 }
 
 /// A plain cell that is not mixed, being expanded.
@@ -120,6 +135,9 @@ impl Jump<'_, '_> {
             g += self.diagonal;
             if length == self.longest || boards.mixed(x, y) {
                 self.open.relax(x, y, g, step, self.parent);
+                return;
+            }
+            if !self.open.pass(x, y, g, step) {
                 return;
             }
             self.straight(x, y, g, step - 4);
