@@ -105,8 +105,7 @@ impl Reach {
         };
         let touched = touched.intersection(&self.bounds);
         (touched.y0..touched.y1).any(|by| {
-            (touched.x0..touched.x1)
-                .any(|bx| self.offset(bx, by).is_some_and(|at| self.within[at]))
+            (touched.x0..touched.x1).any(|bx| self.offset(bx, by).is_some_and(|at| self.within[at]))
         })
     }
 

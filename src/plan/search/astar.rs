@@ -11,9 +11,7 @@ use super::boards::Boards;
 use super::buckets::{Buckets, SPAN};
 use super::jump::longest_jump;
 use super::pull::Puller;
-use super::window::{
-    Asker, BLOCKED, Block, CELLS_MAX, DIAGONAL, Pricing, STRAIGHT, Window,
-};
+use super::window::{Asker, BLOCKED, Block, CELLS_MAX, DIAGONAL, Pricing, STRAIGHT, Window};
 use super::{Guide, Penalty, SearchParams, SearchQuery, Terrain, cell_at};
 use crate::frames::Point;
 use crate::map::{Cell, CellIndex, CellRect};
@@ -82,7 +80,9 @@ pub(super) type Node = u32;
 /// A cell that was not reached.
 pub(super) const UNREACHED: Node = Node::MAX;
 pub(super) const STEP_BITS: u32 = 4;
-pub(super) const STEP_MASK: u32 = (1 << STEP_BITS) - 1;
+pub(super) const STEP_MASK: u32 = 7;
+/// Set where a cell was reached by a jump, not from the cell before.
+pub(super) const JUMPED: u32 = 8;
 
 /// What counts as having arrived, in cells of the window.
 #[derive(Clone, Copy)]
@@ -120,7 +120,7 @@ pub struct GuideSearch {
     pub(super) boards: Boards,
     /// One for each cell of the window, and more: memory is not given back.
     pub(super) nodes: Vec<Node>,
-    /// The cell from which a cell was reached, where it was.
+    /// Where a cell was reached by a jump: from which one.
     pub(super) parents: Vec<u32>,
     /// Where nodes have been written.
     pub(super) written: Vec<u32>,
@@ -129,7 +129,7 @@ pub struct GuideSearch {
     pub(super) queue: Buckets,
     pub(super) heap: BinaryHeap<(Reverse<u64>, u32, u32)>,
     pub(super) block: Block,
-    puller: Puller,
+    pub(super) puller: Puller,
 }
 
 impl Default for GuideSearch {
@@ -246,7 +246,11 @@ impl GuideSearch {
         best.map(|(_, cell)| cell).ok_or(blocked)
     }
 
-    fn target(&mut self, terrain: &Terrain<'_>, query: &SearchQuery) -> Result<Target, SearchError> {
+    fn target(
+        &mut self,
+        terrain: &Terrain<'_>,
+        query: &SearchQuery,
+    ) -> Result<Target, SearchError> {
         let resolution = terrain.resolution_m;
         let (x, y) = self.window.locate(cell_at(query.goal, resolution));
         let radius = query.goal_radius_m / resolution;
@@ -297,6 +301,12 @@ impl GuideSearch {
             if self.nodes[at] == 0 {
                 // Only the start costs nothing.
                 break;
+            }
+            if self.nodes[at] & JUMPED == 0 {
+                let (dx, dy) = STEPS[(self.nodes[at] & STEP_MASK) as usize];
+                (x, y) = (x.wrapping_add_signed(-dx), y.wrapping_add_signed(-dy));
+                cells.push((x, y));
+                continue;
             }
             let stride = self.window.stride as u32;
             let (px, py) = (self.parents[at] % stride, self.parents[at] / stride);

@@ -244,7 +244,7 @@ fn transpose_block(block: &mut [u64; 64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::search::window::{CLASS_BLOCKED, CLASS_FREE, CLASS_UNKNOWN};
+    use crate::plan::search::window::{CLASS_BLOCKED, CLASS_FREE, CLASS_SILENT, CLASS_UNKNOWN};
     use rand::{RngExt, SeedableRng};
 
     #[test]
@@ -273,8 +273,7 @@ mod tests {
             let is_plain = |x, y| [CLASS_FREE, CLASS_SILENT].contains(&class(x, y));
             let mixed = |x: i64, y: i64| {
                 let other = |other| other != CLASS_BLOCKED && other != class(x, y);
-                is_plain(x, y)
-                    && (-1..=1).any(|dy| (-1..=1).any(|dx| other(class(x + dx, y + dy))))
+                is_plain(x, y) && (-1..=1).any(|dy| (-1..=1).any(|dx| other(class(x + dx, y + dy))))
             };
             for y in 1..height as i64 - 1 {
                 for x in 1..width as i64 - 1 {

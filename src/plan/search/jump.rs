@@ -9,7 +9,8 @@
 //! straight step, which is not left out.
 
 use super::astar::{
-    COST_MAX, GuideSearch, Node, STEP_BITS, STEP_MASK, STEPS, SearchError, Target, UNREACHED,
+    COST_MAX, GuideSearch, JUMPED, Node, STEP_BITS, STEP_MASK, STEPS, SearchError, Target,
+    UNREACHED,
 };
 use super::boards::Boards;
 use super::buckets::{Buckets, SPAN};
@@ -21,7 +22,7 @@ const LONGEST: u32 = 64;
 // A jump adds at most twice its cost to the key: once as cost, once because the goal is farther.
 const _: () = assert!(2 * LONGEST * (2 * STRAIGHT + DIAGONAL) < SPAN as u32);
 /// Shorter jumps are not worth it; cells in which they are the longest are taken one by one.
-const SHORTEST: u32 = 8;
+const SHORTEST: u32 = 4;
 
 /// The longest diagonal part of a jump over cells of equal weight, or `None` if they are too costly
 /// to jump.
@@ -57,9 +58,10 @@ struct Open<'a> {
 }
 
 impl Open<'_> {
-    /// Takes a way to a cell by a step from `parent`, if none as cheap is known.
+    /// Takes a way to a cell, the last step of which is `step`, if none as cheap is known. It comes
+    /// from the cell before or, by a jump, from `parent`.
     #[inline(always)]
-    fn relax(&mut self, x: u32, y: u32, g: u32, step: usize, parent: usize) {
+    fn relax(&mut self, x: u32, y: u32, g: u32, step: usize, parent: Option<usize>) {
         let at = y as usize * self.stride + x as usize;
         let node = &mut self.nodes[at];
         if *node >> STEP_BITS > g {
@@ -67,7 +69,10 @@ impl Open<'_> {
                 self.written.push(at as u32);
             }
             *node = g << STEP_BITS | step as u32;
-            self.parents[at] = parent as u32;
+            if let Some(parent) = parent {
+                *node |= JUMPED;
+                self.parents[at] = parent as u32;
+            }
             self.queue.push(g + self.target.bound(x, y), y << 16 | x);
         }
     }
@@ -107,17 +112,14 @@ impl Jump<'_, '_> {
     fn straight(&mut self, x: u32, y: u32, g: u32, step: usize) {
         let along_x = step.is_multiple_of(2);
         let rising = step < 2;
-        let run = if along_x {
-            self.boards.run_x(x, y, rising)
-        } else {
-            self.boards.run_y(x, y, rising)
-        };
+        let run =
+            if along_x { self.boards.run_x(x, y, rising) } else { self.boards.run_y(x, y, rising) };
         if run.plain {
             let from = if along_x { x } else { y };
             let length = run.at.abs_diff(from).min(2 * self.longest);
             let to = if rising { from + length } else { from - length };
             let (x, y) = if along_x { (to, y) } else { (x, to) };
-            self.open.relax(x, y, g + length * self.straight, step, self.parent);
+            self.open.relax(x, y, g + length * self.straight, step, Some(self.parent));
         }
     }
 
@@ -134,7 +136,7 @@ impl Jump<'_, '_> {
             (x, y) = (nx, ny);
             g += self.diagonal;
             if length == self.longest || boards.mixed(x, y) {
-                self.open.relax(x, y, g, step, self.parent);
+                self.open.relax(x, y, g, step, Some(self.parent));
                 return;
             }
             if !self.open.pass(x, y, g, step) {
@@ -189,7 +191,7 @@ impl GuideSearch {
         let from = window.index(start.0, start.1);
         queue.reset(target.bound(start.0, start.1));
         let mut open = Open { stride: window.stride, target, nodes, parents, written, queue };
-        open.relax(start.0, start.1, 0, 0, from);
+        open.relax(start.0, start.1, 0, 0, None);
         let (mut expanded, mut too_long) = (0, false);
         while let Some((key, item)) = open.queue.pop() {
             let (x, y) = (item & 0xffff, item >> 16);
@@ -217,14 +219,18 @@ impl GuideSearch {
                 let longest = if own == KNOWN { LONGEST } else { silent_jump };
                 let open = &mut open;
                 let mut jump = Jump { boards, open, parent: at, straight, diagonal, longest };
-                if at == from { jump.start(x, y) } else { jump.expand(x, y, g, step) }
+                if at == from {
+                    jump.start(x, y)
+                } else {
+                    jump.expand(x, y, g, step)
+                }
                 continue;
             }
             let mut around = window.around(at);
             let mut relax = |step: usize, cost: u32| {
                 let (dx, dy) = STEPS[step];
                 let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
-                open.relax(x, y, g + cost, step, at);
+                open.relax(x, y, g + cost, step, None);
             };
             if around.iter().fold(0, |odd, w| odd | (w ^ own)) == 0 && at != from {
                 if step < 4 {
@@ -254,3 +260,7 @@ impl GuideSearch {
         Err(if too_long { SearchError::TooLong } else { SearchError::Unreachable { expanded } })
     }
 }
+
+#[cfg(test)]
+#[path = "jump_tests.rs"]
+mod tests;

@@ -2,9 +2,7 @@
 
 use std::cmp::Reverse;
 
-use super::astar::{
-    COST_MAX, GuideSearch, STEP_BITS, STEPS, SearchError, Target, UNREACHED,
-};
+use super::astar::{COST_MAX, GuideSearch, STEP_BITS, STEPS, SearchError, Target, UNREACHED};
 use super::window::{Asker, BLOCKED, DIAGONAL, KNOWN, STRAIGHT};
 
 impl GuideSearch {
@@ -58,7 +56,6 @@ impl GuideSearch {
                 if self.nodes[there] == UNREACHED {
                     self.written.push(there as u32);
                 }
-                self.parents[there] = at as u32;
                 self.nodes[there] = g << STEP_BITS | step as u32;
                 let (dx, dy) = STEPS[step];
                 let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));

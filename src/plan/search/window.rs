@@ -75,7 +75,8 @@ impl Window {
         self.origin = CellIndex::new(rect.x0 - 1, rect.y0 - 1);
         self.resolution_m = terrain.resolution_m;
         let corner = |x: u32, y: u32| {
-            let corner = |origin: i32, i: u32| (f64::from(origin) + f64::from(i)) * terrain.resolution_m;
+            let corner =
+                |origin: i32, i: u32| (f64::from(origin) + f64::from(i)) * terrain.resolution_m;
             Point::new(corner(rect.x0 - 1, x), corner(rect.y0 - 1, y))
         };
         // Every cell is written below.
@@ -226,4 +227,3 @@ impl Asker<'_> {
         }
     }
 }
-
