@@ -22,7 +22,7 @@ pub trait OccupancyView {
     fn occupied(&mut self, points: &[Point], out: &mut [f32]);
 
     /// Whether every answer for a point of the rectangle between two corners (the lower and the
-    /// higher one, map frame, metres) is [`SILENT`], so that it need not be asked for. May be false
+    /// higher one, map frame, metres) is 0.5, so that it need not be asked for. May be false
     /// though it is so. Asked for squares of some cells all over the map, so it must be quick.
     fn silent(&self, _low: Point, _high: Point) -> bool {
         false
@@ -30,7 +30,7 @@ pub trait OccupancyView {
 }
 
 /// The answer where nothing is foreseen.
-pub const SILENT: f32 = 0.5;
+const SILENT: f32 = 0.5;
 
 /// What a predictor may look at before a step.
 #[derive(Clone, Copy, Debug)]

@@ -11,11 +11,13 @@ use super::boards::Boards;
 use super::buckets::{Buckets, SPAN};
 use super::jump::longest_jump;
 use super::pull::Puller;
-use super::window::{Asker, BLOCKED, Block, CELLS_MAX, DIAGONAL, Pricing, STRAIGHT, Window};
+use super::window::{
+    Asker, BLOCKED, Block, CELLS_MAX, DIAGONAL, Pricing, SILENT, STRAIGHT, Window,
+};
 use super::{Guide, Penalty, SearchParams, SearchQuery, Terrain, cell_at};
 use crate::frames::Point;
 use crate::map::{Cell, CellIndex, CellRect};
-use crate::predict::{OccupancyView, SILENT};
+use crate::predict::OccupancyView;
 
 /// The longest way in units of cost; what exceeds it is not followed. With one more jump it
 /// still fits into a [`Node`].

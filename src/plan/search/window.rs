@@ -21,6 +21,8 @@ pub(super) const UNASKED: u16 = u16::MAX;
 const FACTOR_MAX: f64 = 320.0;
 /// Scale of the factor on the heuristic with [`Penalty::Literal`]: [`KNOWN`] is one.
 const LITERAL_FACTOR_MAX: f64 = 900.0;
+/// The probability of being occupied where the view knows nothing.
+pub(super) const SILENT: f32 = 0.5;
 /// The view is asked for blocks of this many cells by as many, as a power of two.
 const BLOCK_SHIFT: u32 = 3;
 const SIDE: usize = 1 << BLOCK_SHIFT;
@@ -165,7 +167,8 @@ pub(super) struct Pricing {
 
 impl Pricing {
     pub(super) fn weight(&self, phi: f32) -> u16 {
-        let phi = if (0.0..=1.0).contains(&phi) { f64::from(phi) } else { 0.5 };
+        let phi = if (0.0..=1.0).contains(&phi) { phi } else { SILENT };
+        let phi = f64::from(phi);
         let penalty = self.alpha / (1.0 - phi + self.eps);
         let factor = match self.penalty {
             Penalty::Edge => (1.0 + self.v_ref_mps * penalty).min(FACTOR_MAX),
