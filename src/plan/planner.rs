@@ -148,6 +148,10 @@ impl OccupancyView for TimedView<'_> {
         self.view.occupied(points, out);
         self.spent += (self.clock)().saturating_sub(before);
     }
+
+    fn silent(&self, low: Point, high: Point) -> bool {
+        self.view.silent(low, high)
+    }
 }
 
 impl Planning for Planner {

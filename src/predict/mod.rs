@@ -20,7 +20,17 @@ pub trait OccupancyView {
     /// Answers are in `[0, 1]`; an answer that is not (NaN included) is treated by the planner as
     /// "nothing is known" (0.5).
     fn occupied(&mut self, points: &[Point], out: &mut [f32]);
+
+    /// Whether every answer for a point of the rectangle between two corners (the lower and the
+    /// higher one, map frame, metres) is 0.5, so that it need not be asked for. May be false
+    /// though it is so. Asked for squares of some cells all over the map, so it must be quick.
+    fn silent(&self, _low: Point, _high: Point) -> bool {
+        false
+    }
 }
+
+/// The answer where nothing is foreseen.
+const SILENT: f32 = 0.5;
 
 /// What a predictor may look at before a step.
 #[derive(Clone, Copy, Debug)]

@@ -90,6 +90,25 @@ impl Reach {
         self.offset(block(p.x), block(p.y)).is_some_and(|at| self.within[at])
     }
 
+    /// Whether a point of the rectangle between two corners may lie within the range.
+    pub(super) fn touches(&self, low: Point, high: Point) -> bool {
+        if self.side == 0 {
+            return false;
+        }
+        let block_m = f64::from(self.side) * self.resolution_m;
+        let block = |v: f64| (v / block_m).floor() as i32;
+        let touched = CellRect {
+            x0: block(low.x),
+            y0: block(low.y),
+            x1: block(high.x) + 1,
+            y1: block(high.y) + 1,
+        };
+        let touched = touched.intersection(&self.bounds);
+        (touched.y0..touched.y1).any(|by| {
+            (touched.x0..touched.x1).any(|bx| self.offset(bx, by).is_some_and(|at| self.within[at]))
+        })
+    }
+
     fn offset(&self, bx: i32, by: i32) -> Option<usize> {
         let b = self.bounds;
         b.contains(CellIndex::new(bx, by))
@@ -170,6 +189,10 @@ mod tests {
                 }
                 if distance > 3.0 + 0.71 {
                     prop_assert!(!reach.holds(p), "{distance}");
+                }
+                for (w, h) in [(0.0, 0.0), (0.8, 0.8), (0.1, 1.7)] {
+                    let (low, high) = (Point::new(p.x - w, p.y - h), Point::new(p.x + h, p.y + w));
+                    prop_assert!(reach.touches(low, high) || !reach.holds(p));
                 }
             }
         }

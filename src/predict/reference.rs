@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::reach::Reach;
-use super::{OccupancyView, Predictor, Scene};
+use super::{OccupancyView, Predictor, SILENT, Scene};
 use crate::frames::Point;
 use crate::map::{Cell, Grid};
 
@@ -13,7 +13,11 @@ pub struct NoPrediction;
 
 impl OccupancyView for NoPrediction {
     fn occupied(&mut self, _: &[Point], out: &mut [f32]) {
-        out.fill(0.5);
+        out.fill(SILENT);
+    }
+
+    fn silent(&self, _: Point, _: Point) -> bool {
+        true
     }
 }
 
@@ -45,8 +49,12 @@ impl OccupancyView for OraclePredictor {
                 Cell::Unknown => None,
                 cell => Some((cell == Cell::Occupied) != self.inverted),
             };
-            *out = truth.filter(|_| self.reach.holds(*point)).map_or(0.5, f32::from);
+            *out = truth.filter(|_| self.reach.holds(*point)).map_or(SILENT, f32::from);
         }
+    }
+
+    fn silent(&self, low: Point, high: Point) -> bool {
+        !self.reach.touches(low, high)
     }
 }
 

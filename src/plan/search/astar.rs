@@ -7,45 +7,26 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
+use super::boards::Boards;
 use super::buckets::{Buckets, SPAN};
+use super::jump::longest_jump;
 use super::pull::Puller;
+use super::window::{
+    Asker, BLOCKED, Block, CELLS_MAX, DIAGONAL, Pricing, SILENT, STRAIGHT, Window,
+};
 use super::{Guide, Penalty, SearchParams, SearchQuery, Terrain, cell_at};
 use crate::frames::Point;
 use crate::map::{Cell, CellIndex, CellRect};
 use crate::predict::OccupancyView;
 
-/// Cost of a straight step between two cells of weight [`KNOWN`].
-pub(super) const STRAIGHT: u32 = 140;
-/// Cost of a diagonal step between two cells of weight [`KNOWN`].
-pub(super) const DIAGONAL: u32 = 198;
-/// Weight of a known-free cell: what half a straight step through it costs.
-pub(super) const KNOWN: u16 = (STRAIGHT / 2) as u16;
-/// Weight of a cell that may not be entered.
-pub(super) const BLOCKED: u16 = 0;
-/// Weight of an unknown cell for which the view has not been asked yet.
-pub(super) const UNASKED: u16 = u16::MAX;
-/// An unknown cell costs at most this many times as much as a known one. Holds an edge's cost
-/// below the span of the queue.
-const FACTOR_MAX: f64 = 320.0;
-/// Scale of the factor on the heuristic with [`Penalty::Literal`]: [`KNOWN`] is one.
-const LITERAL_FACTOR_MAX: f64 = 900.0;
-/// The view is asked for blocks of this many cells by as many, as a power of two.
-const BLOCK_SHIFT: u32 = 3;
-/// The largest window that is searched, cells (a square of 280 m at 0.1 m).
-const CELLS_MAX: usize = 8_000_000;
-/// The longest way in units of cost; what exceeds it is not followed. With one more step it still
-/// fits into a [`Node`].
-const COST_MAX: u32 = (u32::MAX >> STEP_BITS) - SPAN as u32;
+/// The longest way in units of cost; what exceeds it is not followed. With one more jump it
+/// still fits into a [`Node`].
+pub(super) const COST_MAX: u32 = (u32::MAX >> STEP_BITS) - SPAN as u32;
 
 /// Steps to the eight neighbours: four straight ones, then four diagonal ones, each diagonal `i`
 /// between the straight ones `i - 4` and `(i - 3) % 4`.
-const STEPS: [(i32, i32); 8] =
+pub(super) const STEPS: [(i32, i32); 8] =
     [(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)];
-/// The steps that can be part of a cheapest way after arriving by a step where everything around
-/// has the same weight: every other neighbour is reached at less cost from the cell before.
-const AHEAD: [[usize; 3]; 8] =
-    [[0, 4, 7], [1, 4, 5], [2, 5, 6], [3, 6, 7], [0, 1, 4], [1, 2, 5], [2, 3, 6], [0, 3, 7]];
-
 /// Why there is no way.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum SearchError {
@@ -97,166 +78,21 @@ pub enum SearchError {
 
 /// One cell of the search in a word: the cost from the start, then the step by which it was
 /// reached in [`STEP_BITS`] bits. Small words keep the search in the cache.
-type Node = u32;
+pub(super) type Node = u32;
 /// A cell that was not reached.
-const UNREACHED: Node = Node::MAX;
-const STEP_BITS: u32 = 4;
-const STEP_MASK: u32 = (1 << STEP_BITS) - 1;
-
-/// The rectangle searched, with a ring of blocked cells around it, as flat arrays.
-pub(super) struct Window {
-    /// Cells in a row, ring included.
-    pub(super) stride: usize,
-    /// Rows, ring included.
-    pub(super) rows: usize,
-    /// Map cell of the array's first cell.
-    origin: CellIndex,
-    pub(super) resolution_m: f64,
-    /// Weight of each cell: [`BLOCKED`], [`UNASKED`], or what half a straight step costs.
-    pub(super) weights: Vec<u16>,
-}
-
-impl Window {
-    fn fill(&mut self, terrain: &Terrain<'_>, rect: CellRect, unknown: u16) {
-        self.stride = rect.width() + 2;
-        self.rows = rect.height() + 2;
-        self.origin = CellIndex::new(rect.x0 - 1, rect.y0 - 1);
-        self.resolution_m = terrain.resolution_m;
-        self.weights.clear();
-        self.weights.resize(self.stride * self.rows, unknown);
-        let bounds = terrain.bounds;
-        let width = bounds.width();
-        if width > 0 {
-            let known = terrain.cells.chunks_exact(width).zip(terrain.lethal.chunks_exact(width));
-            for (row, (cells, lethal)) in known.enumerate() {
-                let y = (bounds.y0 - self.origin.iy) as usize + row;
-                let at = y * self.stride + (bounds.x0 - self.origin.ix) as usize;
-                let out = &mut self.weights[at..at + width];
-                for ((weight, cell), lethal) in out.iter_mut().zip(cells).zip(lethal) {
-                    let open = match cell {
-                        Cell::Unknown => unknown,
-                        Cell::Free => KNOWN,
-                        Cell::Occupied => BLOCKED,
-                    };
-                    *weight = if *lethal { BLOCKED } else { open };
-                }
-            }
-        }
-        self.weights[..self.stride].fill(BLOCKED);
-        let last = self.stride * (self.rows - 1);
-        self.weights[last..].fill(BLOCKED);
-        for row in self.weights.chunks_exact_mut(self.stride) {
-            row[0] = BLOCKED;
-            row[self.stride - 1] = BLOCKED;
-        }
-    }
-
-    #[inline]
-    pub(super) fn index(&self, x: u32, y: u32) -> usize {
-        y as usize * self.stride + x as usize
-    }
-
-    /// Weights around a cell in the order of [`STEPS`].
-    #[inline(always)]
-    fn around(&self, at: usize) -> [u16; 8] {
-        let (s, w) = (self.stride, &self.weights);
-        let (low, row, high) = (&w[at - s - 1..][..3], &w[at - 1..][..3], &w[at + s - 1..][..3]);
-        [row[2], high[1], row[0], low[1], high[2], high[0], low[0], low[2]]
-    }
-
-    /// Centre of a cell, map frame.
-    pub(super) fn centre(&self, x: u32, y: u32) -> Point {
-        let centre =
-            |origin: i32, i: u32| (f64::from(origin) + f64::from(i) + 0.5) * self.resolution_m;
-        Point::new(centre(self.origin.ix, x), centre(self.origin.iy, y))
-    }
-
-    fn locate(&self, cell: CellIndex) -> (u32, u32) {
-        ((cell.ix - self.origin.ix) as u32, (cell.iy - self.origin.iy) as u32)
-    }
-}
-
-/// Turns answers of the view into weights.
-#[derive(Clone, Copy)]
-struct Pricing {
-    penalty: Penalty,
-    alpha: f64,
-    eps: f64,
-    v_ref_mps: f64,
-}
-
-impl Pricing {
-    fn weight(&self, phi: f32) -> u16 {
-        let phi = if (0.0..=1.0).contains(&phi) { f64::from(phi) } else { 0.5 };
-        let penalty = self.alpha / (1.0 - phi + self.eps);
-        let factor = match self.penalty {
-            Penalty::Edge => (1.0 + self.v_ref_mps * penalty).min(FACTOR_MAX),
-            Penalty::Literal => penalty.min(LITERAL_FACTOR_MAX),
-        };
-        // A factor of zero (alpha = 0 with `literal`) must not read as blocked.
-        (factor * f64::from(KNOWN)).round().max(1.0) as u16
-    }
-}
-
-/// Asks the view block by block and keeps the answers as weights.
-struct Asker<'v> {
-    view: &'v mut dyn OccupancyView,
-    pricing: Pricing,
-    asked: usize,
-}
-
-/// Scratch of one question to the view.
-#[derive(Default)]
-struct Block {
-    cells: Vec<u32>,
-    points: Vec<Point>,
-    answers: Vec<f32>,
-}
-
-impl Asker<'_> {
-    #[cold]
-    fn ask(&mut self, window: &mut Window, block: &mut Block, x: u32, y: u32) {
-        let side = 1 << BLOCK_SHIFT;
-        let (x0, y0) = (x >> BLOCK_SHIFT << BLOCK_SHIFT, y >> BLOCK_SHIFT << BLOCK_SHIFT);
-        block.cells.clear();
-        block.points.clear();
-        for y in y0..(y0 + side).min(window.rows as u32) {
-            for x in x0..(x0 + side).min(window.stride as u32) {
-                let at = window.index(x, y);
-                if window.weights[at] == UNASKED {
-                    block.cells.push(at as u32);
-                    block.points.push(window.centre(x, y));
-                }
-            }
-        }
-        block.answers.clear();
-        block.answers.resize(block.points.len(), f32::NAN);
-        self.view.occupied(&block.points, &mut block.answers);
-        self.asked += block.points.len();
-        for (at, phi) in block.cells.iter().zip(&block.answers) {
-            window.weights[*at as usize] = self.pricing.weight(*phi);
-        }
-    }
-
-    /// Asks for whatever is still unasked in the square of three cells around one.
-    fn ask_around(&mut self, window: &mut Window, block: &mut Block, x: u32, y: u32) {
-        for y in y - 1..=y + 1 {
-            for x in x - 1..=x + 1 {
-                if window.weights[window.index(x, y)] == UNASKED {
-                    self.ask(window, block, x, y);
-                }
-            }
-        }
-    }
-}
+pub(super) const UNREACHED: Node = Node::MAX;
+pub(super) const STEP_BITS: u32 = 4;
+pub(super) const STEP_MASK: u32 = 7;
+/// Set where a cell was reached by a jump, not from the cell before.
+pub(super) const JUMPED: u32 = 8;
 
 /// What counts as having arrived, in cells of the window.
 #[derive(Clone, Copy)]
-struct Target {
-    x: i64,
-    y: i64,
+pub(super) struct Target {
+    pub(super) x: i64,
+    pub(super) y: i64,
     /// Goal and radius in cells, for the exact test of a cell centre.
-    centre: (f64, f64),
+    pub(super) centre: (f64, f64),
     radius2: f64,
     /// No accepted cell is closer to the goal's cell than this, as a cost.
     slack: u32,
@@ -265,7 +101,7 @@ struct Target {
 impl Target {
     /// Octile distance, less the radius: never more than what a way over known-free cells costs.
     #[inline]
-    fn bound(&self, x: u32, y: u32) -> u32 {
+    pub(super) fn bound(&self, x: u32, y: u32) -> u32 {
         let dx = (i64::from(x) - self.x).unsigned_abs() as u32;
         let dy = (i64::from(y) - self.y).unsigned_abs() as u32;
         let (long, short) = (dx.max(dy), dx.min(dy));
@@ -273,7 +109,7 @@ impl Target {
     }
 
     #[inline]
-    fn reached(&self, x: u32, y: u32) -> bool {
+    pub(super) fn reached(&self, x: u32, y: u32) -> bool {
         let (dx, dy) = (f64::from(x) + 0.5 - self.centre.0, f64::from(y) + 0.5 - self.centre.1);
         (i64::from(x) == self.x && i64::from(y) == self.y) || dx * dx + dy * dy <= self.radius2
     }
@@ -282,14 +118,20 @@ impl Target {
 /// The grid search. Holds its working memory, so that searching again allocates nothing but the
 /// answer.
 pub struct GuideSearch {
-    window: Window,
-    nodes: Vec<Node>,
+    pub(super) window: Window,
+    pub(super) boards: Boards,
+    /// One for each cell of the window, and more: memory is not given back.
+    pub(super) nodes: Vec<Node>,
+    /// Where a cell was reached by a jump: from which one.
+    pub(super) parents: Vec<u32>,
+    /// Where nodes have been written.
+    pub(super) written: Vec<u32>,
     /// Whether a cell has been expanded (with [`Penalty::Literal`] alone).
-    closed: Vec<bool>,
-    queue: Buckets,
-    heap: BinaryHeap<(Reverse<u64>, u32, u32)>,
-    block: Block,
-    puller: Puller,
+    pub(super) closed: Vec<bool>,
+    pub(super) queue: Buckets,
+    pub(super) heap: BinaryHeap<(Reverse<u64>, u32, u32)>,
+    pub(super) block: Block,
+    pub(super) puller: Puller,
 }
 
 impl Default for GuideSearch {
@@ -302,14 +144,11 @@ impl GuideSearch {
     /// A search that has seen nothing yet.
     pub fn new() -> Self {
         Self {
-            window: Window {
-                stride: 0,
-                rows: 0,
-                origin: CellIndex::default(),
-                resolution_m: 1.0,
-                weights: Vec::new(),
-            },
+            window: Window::default(),
+            boards: Boards::default(),
             nodes: Vec::new(),
+            parents: Vec::new(),
+            written: Vec::new(),
             closed: Vec::new(),
             queue: Buckets::new(),
             heap: BinaryHeap::new(),
@@ -342,25 +181,33 @@ impl GuideSearch {
         );
         check(terrain, query)?;
         let rect = window_rect(terrain, query, params.border_m)?;
-        self.window.fill(terrain, rect, if query.through_unknown { UNASKED } else { BLOCKED });
-        self.nodes.clear();
-        self.nodes.resize(self.window.weights.len(), UNREACHED);
+        let pricing = Pricing {
+            penalty: params.penalty,
+            alpha: params.alpha,
+            eps: params.eps,
+            v_ref_mps: query.v_ref_mps,
+        };
+        let silent_weight = pricing.weight(SILENT);
+        let silent_jump = longest_jump(silent_weight);
+        let silent = (params.penalty == Penalty::Edge && silent_jump.is_some())
+            .then_some((silent_weight, &*view));
+        self.window.fill(&mut self.boards, terrain, rect, query.through_unknown, silent);
+        for at in self.written.drain(..) {
+            self.nodes[at as usize] = UNREACHED;
+        }
+        let cells = self.window.weights.len();
+        if self.nodes.len() < cells {
+            self.nodes.resize(cells, UNREACHED);
+            self.parents.resize(cells, 0);
+        }
 
         let start = self.start_cell(terrain, query)?;
         let target = self.target(terrain, query)?;
-        let mut asker = Asker {
-            view,
-            pricing: Pricing {
-                penalty: params.penalty,
-                alpha: params.alpha,
-                eps: params.eps,
-                v_ref_mps: query.v_ref_mps,
-            },
-            asked: 0,
-        };
+        let mut asker = Asker { view, pricing, asked: 0 };
+        self.boards.finish();
         asker.ask_around(&mut self.window, &mut self.block, start.0, start.1);
         let (end, expanded) = match params.penalty {
-            Penalty::Edge => self.run_edge(start, target, &mut asker)?,
+            Penalty::Edge => self.run_edge(start, target, &mut asker, silent_jump.unwrap_or(1))?,
             Penalty::Literal => self.run_literal(start, target, &mut asker)?,
         };
         let asked = asker.asked;
@@ -401,7 +248,11 @@ impl GuideSearch {
         best.map(|(_, cell)| cell).ok_or(blocked)
     }
 
-    fn target(&self, terrain: &Terrain<'_>, query: &SearchQuery) -> Result<Target, SearchError> {
+    fn target(
+        &mut self,
+        terrain: &Terrain<'_>,
+        query: &SearchQuery,
+    ) -> Result<Target, SearchError> {
         let resolution = terrain.resolution_m;
         let (x, y) = self.window.locate(cell_at(query.goal, resolution));
         let radius = query.goal_radius_m / resolution;
@@ -419,146 +270,18 @@ impl GuideSearch {
             radius2: radius * radius,
             slack: if radius > 0.0 { slack.ceil() as u32 } else { 0 },
         };
+        let mut open = false;
         let columns = x.saturating_sub(reach)..(x + reach + 1).min(self.window.stride as u32);
         for y in y.saturating_sub(reach)..(y + reach + 1).min(self.window.rows as u32) {
             for x in columns.clone() {
                 if self.window.weights[self.window.index(x, y)] != BLOCKED && target.reached(x, y) {
-                    return Ok(target);
+                    self.boards.mark(x, y);
+                    open = true;
                 }
             }
         }
-        Err(SearchError::GoalBlocked { x_m: query.goal.x, y_m: query.goal.y })
-    }
-
-    fn run_edge(
-        &mut self,
-        start: (u32, u32),
-        target: Target,
-        asker: &mut Asker<'_>,
-    ) -> Result<((u32, u32), usize), SearchError> {
-        let Self { window, nodes, queue, block, .. } = self;
-        let from = window.index(start.0, start.1);
-        nodes[from] = 0;
-        let key = target.bound(start.0, start.1);
-        queue.reset(key);
-        queue.push(key, start.1 << 16 | start.0);
-        let stride = window.stride as isize;
-        let offsets = STEPS.map(|(dx, dy)| dy as isize * stride + dx as isize);
-        let (mut expanded, mut too_long) = (0, false);
-        while let Some((key, item)) = queue.pop() {
-            let (x, y) = (item & 0xffff, item >> 16);
-            let at = window.index(x, y);
-            let node = nodes[at];
-            let own_g = node >> STEP_BITS;
-            let bound = target.bound(x, y);
-            if own_g + bound != key {
-                // A cheaper way here was found, and followed, since this was pushed.
-                continue;
-            }
-            if bound == 0 && target.reached(x, y) {
-                return Ok(((x, y), expanded));
-            }
-            if own_g > COST_MAX {
-                too_long = true;
-                continue;
-            }
-            expanded += 1;
-            let own = window.weights[at];
-            let mut around = window.around(at);
-            let mut relax = |step: usize, cost: u32| {
-                let there = (at as isize + offsets[step]) as usize;
-                let g = own_g + cost;
-                let node = &mut nodes[there];
-                if *node >> STEP_BITS > g {
-                    *node = g << STEP_BITS | step as u32;
-                    let (dx, dy) = STEPS[step];
-                    let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
-                    queue.push(g + target.bound(x, y), y << 16 | x);
-                }
-            };
-            let straight = 2 * u32::from(own);
-            if around.iter().fold(0, |odd, w| odd | (w ^ own)) == 0 && at != from {
-                let diagonal = straight * DIAGONAL / STRAIGHT;
-                for &step in &AHEAD[(node & STEP_MASK) as usize] {
-                    relax(step, if step < 4 { straight } else { diagonal });
-                }
-                continue;
-            }
-            if around.iter().fold(false, |any, w| any | (*w == UNASKED)) {
-                asker.ask_around(window, block, x, y);
-                around = window.around(at);
-            }
-            for (step, weight) in around.iter().enumerate() {
-                let both = u32::from(own) + u32::from(*weight);
-                if *weight == BLOCKED {
-                } else if step < 4 {
-                    relax(step, both);
-                } else if around[step - 4] != BLOCKED && around[(step - 3) % 4] != BLOCKED {
-                    relax(step, both * DIAGONAL / STRAIGHT);
-                }
-            }
-        }
-        Err(if too_long { SearchError::TooLong } else { SearchError::Unreachable { expanded } })
-    }
-
-    /// `f = g + w |n - goal|`, `g` the length of the way, each cell expanded once.
-    fn run_literal(
-        &mut self,
-        start: (u32, u32),
-        target: Target,
-        asker: &mut Asker<'_>,
-    ) -> Result<((u32, u32), usize), SearchError> {
-        let from = self.window.index(start.0, start.1);
-        self.nodes[from] = 0;
-        self.closed.clear();
-        self.closed.resize(self.nodes.len(), false);
-        self.heap.clear();
-        self.heap.push((Reverse(0), 0, start.1 << 16 | start.0));
-        let stride = self.window.stride as isize;
-        let offsets = STEPS.map(|(dx, dy)| dy as isize * stride + dx as isize);
-        let (mut expanded, mut pushed, mut too_long) = (0, 0_u32, false);
-        while let Some((_, _, item)) = self.heap.pop() {
-            let (x, y) = (item & 0xffff, item >> 16);
-            let at = self.window.index(x, y);
-            if self.closed[at] {
-                continue;
-            }
-            self.closed[at] = true;
-            let own_g = self.nodes[at] >> STEP_BITS;
-            if target.reached(x, y) {
-                return Ok(((x, y), expanded));
-            }
-            if own_g > COST_MAX {
-                too_long = true;
-                continue;
-            }
-            expanded += 1;
-            asker.ask_around(&mut self.window, &mut self.block, x, y);
-            let around = self.window.around(at);
-            for step in 0..8 {
-                let open = around[step] != BLOCKED
-                    && (step < 4
-                        || (around[step - 4] != BLOCKED && around[(step - 3) % 4] != BLOCKED));
-                if !open {
-                    continue;
-                }
-                let there = (at as isize + offsets[step]) as usize;
-                let g = own_g + if step < 4 { STRAIGHT } else { DIAGONAL };
-                if self.closed[there] || self.nodes[there] >> STEP_BITS <= g {
-                    continue;
-                }
-                self.nodes[there] = g << STEP_BITS | step as u32;
-                let (dx, dy) = STEPS[step];
-                let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
-                let (cx, cy) = target.centre;
-                let distance = (f64::from(x) + 0.5 - cx).hypot(f64::from(y) + 0.5 - cy);
-                let factor = f64::from(around[step]) / f64::from(KNOWN);
-                let h = factor * distance * f64::from(STRAIGHT);
-                pushed = pushed.saturating_add(1);
-                self.heap.push((Reverse(u64::from(g) + h.round() as u64), pushed, y << 16 | x));
-            }
-        }
-        Err(if too_long { SearchError::TooLong } else { SearchError::Unreachable { expanded } })
+        let blocked = SearchError::GoalBlocked { x_m: query.goal.x, y_m: query.goal.y };
+        open.then_some(target).ok_or(blocked)
     }
 
     fn guide(
@@ -574,15 +297,32 @@ impl GuideSearch {
         let cells = &mut self.puller.cells;
         cells.clear();
         let (mut x, mut y) = end;
+        cells.push(end);
         loop {
-            cells.push((x, y));
-            let node = self.nodes[self.window.index(x, y)];
-            if node == 0 {
+            let at = self.window.index(x, y);
+            if self.nodes[at] == 0 {
                 // Only the start costs nothing.
                 break;
             }
-            let (dx, dy) = STEPS[(node & STEP_MASK) as usize];
-            (x, y) = (x.wrapping_add_signed(-dx), y.wrapping_add_signed(-dy));
+            if self.nodes[at] & JUMPED == 0 {
+                let (dx, dy) = STEPS[(self.nodes[at] & STEP_MASK) as usize];
+                (x, y) = (x.wrapping_add_signed(-dx), y.wrapping_add_signed(-dy));
+                cells.push((x, y));
+                continue;
+            }
+            let stride = self.window.stride as u32;
+            let (px, py) = (self.parents[at] % stride, self.parents[at] / stride);
+            // A jump runs diagonally first and straight then.
+            while (x, y) != (px, py) {
+                let (nx, ny) = (px.abs_diff(x), py.abs_diff(y));
+                if nx >= ny {
+                    x = if px > x { x + 1 } else { x - 1 };
+                }
+                if ny >= nx {
+                    y = if py > y { y + 1 } else { y - 1 };
+                }
+                cells.push((x, y));
+            }
         }
         cells.reverse();
         let own_cell = i64::from(end.0) == target.x && i64::from(end.1) == target.y;

@@ -7,9 +7,9 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use super::astar::{DIAGONAL, STRAIGHT};
 use super::buckets::Buckets;
 use super::dubins::{self, Dubins};
+use super::window::{DIAGONAL, STRAIGHT};
 use super::{Guide, cell_at};
 use crate::frames::{Point, Pose, Vector};
 use crate::map::CellRect;

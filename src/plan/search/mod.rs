@@ -2,10 +2,14 @@
 //! metres of it in a form that a car without reverse can drive.
 
 mod astar;
+mod boards;
 mod buckets;
 mod dubins;
+mod jump;
+mod literal;
 mod manoeuvre;
 mod pull;
+mod window;
 
 pub use astar::{GuideSearch, SearchError};
 pub use manoeuvre::{
@@ -89,7 +93,7 @@ pub struct Guide {
     /// [`Penalty::Edge`] plus the penalty for unknown space. Of the grid's path before it is
     /// pulled taut.
     pub cost_s: f64,
-    /// How many cells the search expanded.
+    /// How many cells the search expanded; those that it jumped over do not count.
     pub expanded: usize,
     /// For how many unknown cells the view was asked.
     pub asked: usize,

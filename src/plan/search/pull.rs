@@ -1,6 +1,6 @@
 //! Pulls a way over the grid taut.
 
-use super::astar::{BLOCKED, KNOWN, UNASKED, Window};
+use super::window::{BLOCKED, KNOWN, UNASKED, Window};
 use crate::frames::Point;
 
 /// How far ahead a shortcut may reach, cells; bounds the work per cell of the way.
