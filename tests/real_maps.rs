@@ -93,16 +93,12 @@ fn run(drive: &Drive, world: &World, policy: Policy, kind: PredictorKind) -> Sum
         planning: None,
     };
     let mut rig = Rig::new(setup).expect("start and goal are free");
-    let verbose = std::env::var("V").is_ok();
     let mut rejections = std::collections::BTreeMap::<String, usize>::new();
     rig.drive(|rig| {
         while let Some(event) = rig.poll_event() {
             if let Event::PlanRejected { rejection, .. } = &event {
                 let text = format!("{rejection:?}").chars().take(70).collect();
                 *rejections.entry(text).or_default() += 1;
-            }
-            if verbose && !matches!(event, Event::PlanAdopted { .. }) {
-                eprintln!("{:.3} {event:?} {:?}", rig.now().as_secs_f64(), rig.car().pose);
             }
         }
     });
@@ -174,13 +170,8 @@ fn check(drive: &Drive) {
     let way_m = world.path_length_m(start, goal, drive.radius_m);
     eprintln!("{}: a way of {way_m:?} m", drive.map);
     assert!((goal - start).norm() > 15.0, "start and goal are {} m apart", (goal - start).norm());
-    let only = std::env::var("ONLY").ok();
     let mut bad = vec![];
     for (policy, kind) in METHODS {
-        if only.as_ref().is_some_and(|o| !format!("{} {}", policy.name(), kind.name()).contains(o))
-        {
-            continue;
-        }
         let s = run(drive, &world, policy, kind);
         if (s.outcome, s.collisions, s.unknown_entries, s.guard_stops) != (Outcome::Goal, 0, 0, 0) {
             bad.push(format!("{} {}: {s:?}", policy.name(), kind.name()));

@@ -31,7 +31,13 @@ fn smoke() {
                     "hz" => planner.smooth.horizon_m = v,
                     "gd" => planner.plan.goal_depth_m = v,
                     "ur" => planner.plan.unknown_room_m = v,
-                    "strict" => planner.plan.strict_escape = v > 0.0,
+                    "stop" => {
+                        planner.plan.stop_rule = [
+                            apexd::plan::StopRule::Optimistic,
+                            apexd::plan::StopRule::Seen,
+                            apexd::plan::StopRule::TurnRound,
+                        ][v as usize]
+                    }
                     _ => panic!("{k}"),
                 }
             }

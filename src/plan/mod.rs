@@ -15,6 +15,8 @@ pub mod speed;
 mod test_paths;
 
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
-pub use planner::{PlanParams, Planner, PlannerParams, Policy, SHORTEST_PLAN_M, Stopwatch};
+pub use planner::{
+    PlanParams, Planner, PlannerParams, Policy, SHORTEST_PLAN_M, StopRule, Stopwatch,
+};
 pub use request::{Goal, Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 pub use shorten::shorten;

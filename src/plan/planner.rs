@@ -43,6 +43,20 @@ choices! {
     }
 }
 
+choices! {
+    /// Where a plan may come to rest. Every stop is safe; the question is whether a car without
+    /// reverse gear gets on from there.
+    pub enum StopRule {
+        /// Where there is room for a quarter turn, or for a turning radius straight on, as far as
+        /// occupied space is known.
+        Optimistic = "optimistic",
+        /// The same with all unknown space taken for occupied.
+        Seen = "seen",
+        /// Where the car can turn round in space known to be free.
+        TurnRound = "turn-round",
+    }
+}
+
 tunables! {
     /// How a planning step is put together.
     pub struct PlanParams in "plan" {
@@ -51,9 +65,8 @@ tunables! {
         /// Clearance granted to the path's shape beside unknown space, beyond what the certificate
         /// asks for; the certificate then ends the executable part before it.
         unknown_room_m: f64 = 0.3, live, in 0.0..=2.0, "m";
-        /// Whether a stop must leave room to turn even if all unknown space were walls (true), or
-        /// only from the walls that are known.
-        strict_escape: bool = false, live;
+        /// What a stop must leave room for.
+        stop_rule: StopRule = StopRule::TurnRound, live, one of;
         /// Plans end this far inside the goal disc.
         goal_depth_m: f64 = 0.1, live, in 0.0..=1.0, "m";
     }
@@ -272,13 +285,21 @@ impl Planner {
         let mut rejection = Rejection::NothingToGain;
         let goes_on = old.as_ref().is_some_and(|old| old.follows.is_some());
         if goes_on || !leaves_heading(here.pose(), guide, self.params.manoeuvre.skip_turn_rad) {
-            let way = self.straight_on(request, guide, old.as_ref());
-            match self.shaped(request, &here, way, times) {
-                Ok(candidate) => match self.certified(request, &candidate, times) {
+            // A shape may bend as the committed path does at the speed planned there, or else only
+            // as the present speed allows: the first is faster, the second rarely too fast.
+            for held in [Bends::AsCommitted, Bends::AsSpeedAllows] {
+                let way = self.straight_on(request, guide, old.as_ref());
+                let plan = self
+                    .shaped(request, &here, way, held, times)
+                    .and_then(|candidate| self.certified(request, &candidate, times));
+                match plan {
                     Ok(plan) => return Verdict::Plan(Box::new(plan)),
                     Err(reason) => rejection = reason,
-                },
-                Err(reason) => rejection = reason,
+                }
+                if here.speed_mps <= 0.0 {
+                    break;
+                }
+                *candidates += 1;
             }
         }
         // The way leads on as before: drive the old path, as far as it is clear by now.
@@ -304,7 +325,7 @@ impl Planner {
             let turn = way
                 .map_err(|_| Rejection::NothingToGain)
                 .and_then(|guide| self.with_manoeuvre(request, &branch, &guide, times))
-                .and_then(|way| self.shaped(request, &branch, way, times));
+                .and_then(|way| self.shaped(request, &branch, way, Bends::AsCommitted, times));
             match turn {
                 Ok(candidate) => {
                     if let Some(cost_s) = self.cost_s(request, &candidate) {
@@ -612,6 +633,7 @@ impl Planner {
         request: &PlanRequest,
         branch: &Branch,
         way: Way,
+        bends: Bends,
         times: &mut StepTimes,
     ) -> Result<Candidate, Rejection> {
         let mut lap = Lap::new(&self.clock);
@@ -631,6 +653,14 @@ impl Planner {
         } else {
             0.0
         };
+        let held: Vec<(f64, f64)> = match bends {
+            Bends::AsSpeedAllows => Vec::new(),
+            Bends::AsCommitted => {
+                let committed = request.committed.trajectory.points.iter().map(|p| p.path);
+                let ahead = committed.filter(|p| p.s_m >= branch.s_m - 0.1);
+                ahead.map(|p| (p.s_m - branch.s_m, p.curvature_pm)).collect()
+            }
+        };
         let smoothed = self.smoother.smooth(
             &self.params.smooth,
             &field,
@@ -639,6 +669,7 @@ impl Planner {
                 warm: way.warm,
                 start: branch.pose(),
                 start_curvature_pm: moving.then_some(branch.point.curvature_pm),
+                held: &held,
                 start_speed_mps: branch.speed_mps,
                 end_radius_m,
                 radius_m: keep_m,
@@ -693,21 +724,7 @@ impl Planner {
         let stop_m = if candidate.reaches_goal && clear_m >= path.length_m() {
             clear_m
         } else {
-            let surfaces = if self.params.plan.strict_escape {
-                Surfaces::OccupiedAndUnknown
-            } else {
-                Surfaces::Occupied
-            };
-            let turn_radius_m = self.params.vehicle.turn_radius_m;
-            let rule = EscapeRule { radius_m: keep_m, turn_radius_m, surfaces };
-            let proven = EscapeRule { surfaces: Surfaces::OccupiedAndUnknown, ..rule };
-            last_turnable(&request.grid, &path.points, clear_m, &proven)
-                .filter(|s_m| *s_m >= SHORTEST_PLAN_M)
-                .or_else(|| {
-                    let weak = || last_escapable(&request.grid, &path.points, clear_m, &rule);
-                    self.impasses.is_bold().then(weak).flatten()
-                })
-                .unwrap_or(0.0)
+            self.stop_m(&request.grid, path, clear_m)
         };
         times.certify += lap.take(&self.clock);
         self.finish(request, path, stop_m, times)
@@ -729,6 +746,26 @@ impl Planner {
             path.cut(s_m);
         }
         true
+    }
+
+    /// Where on a path that is clear up to `clear_m` the plan stops, metres; zero if nowhere.
+    fn stop_m(&self, grid: &Grid, path: &Path, clear_m: f64) -> f64 {
+        let rule = |surfaces| EscapeRule {
+            radius_m: self.keep_m(),
+            turn_radius_m: self.params.vehicle.turn_radius_m,
+            surfaces,
+        };
+        let points = &path.points;
+        let optimistic = || last_escapable(grid, points, clear_m, &rule(Surfaces::Occupied));
+        let seen = rule(Surfaces::OccupiedAndUnknown);
+        let stop = match self.params.plan.stop_rule {
+            StopRule::Optimistic => optimistic(),
+            StopRule::Seen => last_escapable(grid, points, clear_m, &seen),
+            StopRule::TurnRound => last_turnable(grid, points, clear_m, &seen),
+        };
+        stop.filter(|s_m| *s_m >= SHORTEST_PLAN_M)
+            .or_else(|| self.impasses.is_bold().then(optimistic).flatten())
+            .unwrap_or(0.0)
     }
 
     /// Cuts the path at the stop, sets speeds, and has it certified.
@@ -787,6 +824,15 @@ struct Way {
     /// The drivable start, in case smoothing finds nothing.
     manoeuvre: Option<Path>,
     reaches_goal: bool,
+}
+
+/// How tightly a shape may bend where the car is still too fast for the tightest turn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Bends {
+    /// As the committed path at the same place.
+    AsCommitted,
+    /// As the speed that is left there under braking allows.
+    AsSpeedAllows,
 }
 
 /// A path from the take-over on.

@@ -65,6 +65,7 @@ fn shaping(c: &mut Criterion) {
         warm: false,
         start: Pose::new(2.0, 2.0, 0.0),
         start_curvature_pm: None,
+        held: &[],
         start_speed_mps: 0.0,
         end_radius_m: 0.0,
         radius_m: 0.25,

@@ -55,7 +55,10 @@ pub struct SmoothRequest<'a> {
     pub start: Pose,
     /// Curvature of the path that the car is on there, 1/m; `None` when it is free (at rest).
     pub start_curvature_pm: Option<f64>,
-    /// Speed there, m/s.
+    /// The way that the car is on from there: arc length, metres, growing, and curvature, 1/m.
+    /// What bends as that does at the same arc length is never held to be too tight for the speed.
+    pub held: &'a [(f64, f64)],
+    /// Speed at the start, m/s.
     pub start_speed_mps: f64,
     /// How far from the guide's last point the path may end, metres; 0 for exactly there.
     pub end_radius_m: f64,

@@ -14,7 +14,7 @@ mod grip;
 mod guide;
 
 use checks::Mend;
-use grip::{TURN_SHARE_MIN, TURN_SHARE_STEP};
+use grip::{TURN_SHARE_MIN, TURN_SHARE_STEP, held_pm};
 use guide::END_ROOM_M;
 
 /// A guide that leads into a place without room, or into a bend that cannot be driven, is followed
@@ -367,7 +367,10 @@ impl Smoother {
             let s_m = k as f64 * d_m;
             let turn = task.steering_bound_pm(s_m, strictness);
             let grip = self.grip_bound_pm.get((s_m / self.grip_step_m) as usize);
-            squared * grip.filter(|_| !relaxed).map_or(turn, |g| turn.min(*g))
+            squared
+                * grip
+                    .filter(|_| !relaxed)
+                    .map_or(turn, |g| turn.min(g.max(held_pm(request.held, s_m))))
         };
         let step = forward * d_m;
         if fixed_first.is_none() {

@@ -14,6 +14,7 @@ fn request<'a>(guide: &'a [Point], start: Pose) -> SmoothRequest<'a> {
         warm: false,
         start,
         start_curvature_pm: None,
+        held: &[],
         start_speed_mps: 0.0,
         end_radius_m: 0.0,
         radius_m: RADIUS_M,
@@ -351,6 +352,52 @@ fn a_moving_car_begins_with_its_curvature_and_can_brake_for_the_bend() {
     }
     // stopping before the wall opposite takes 1.8 m at most: 5.6 m/s
     assert!((20..=45).contains(&refused), "{refused} speeds refused");
+}
+
+/// Time from one sample on, with squared speeds.
+fn time_from_s(path: &Path, speeds: &[f64], from: usize) -> f64 {
+    let edges = from..path.points.len() - 1;
+    let time = |i: usize| {
+        let ds = path.points[i + 1].s_m - path.points[i].s_m;
+        2.0 * ds / (speeds[i].sqrt() + speeds[i + 1].sqrt())
+    };
+    edges.map(time).sum()
+}
+
+#[test]
+fn planning_again_in_a_bend_does_not_put_the_bend_off() {
+    // a turn by 180 degrees, which full speed cannot take: the car brakes while it turns in
+    let route = [(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (0, 1)];
+    let (field, goal) = (corridor(&route), cell_centre((0, 1)));
+    let start = Pose { position: cell_centre((0, 0)), heading_rad: 0.0 };
+    let guide = guide_on_cells(&field, Point::new(1.25, 1.25), goal, RADIUS_M - 0.05);
+    let params = SmoothParams::default();
+    let smooth = |r: &SmoothRequest<'_>| Smoother::default().smooth(&params, &field, r);
+    let first = smooth(&request(&guide, start)).unwrap().path;
+    let speeds = fastest(&first, 0.95 * GRIP, 4.0, 0.0).unwrap();
+    let (mut checked, mut braking) = (0, 0);
+    for (i, p) in first.points.iter().enumerate().step_by(4) {
+        if !(0.8..6.0).contains(&p.s_m) {
+            continue;
+        }
+        let cell = |v: f64| (v * 10.0).floor() / 10.0 + 0.05;
+        let snapped = Point::new(cell(p.position.x), cell(p.position.y));
+        let mut guide = guide_on_cells(&field, snapped, goal, RADIUS_M - 0.05);
+        guide[0] = p.position;
+        let held: Vec<_> = first.points.iter().map(|q| (q.s_m - p.s_m, q.curvature_pm)).collect();
+        let mut r = request(&guide, Pose { position: p.position, heading_rad: p.heading_rad });
+        r.start_speed_mps = speeds[i].sqrt();
+        r.start_curvature_pm = Some(p.curvature_pm);
+        r.held = &held;
+        r.acceleration_limit_mps2 = 0.95 * GRIP;
+        let path = smooth(&r).unwrap_or_else(|e| panic!("at {:.2} m: {e}", p.s_m)).path;
+        let anew = fastest(&path, 0.98 * GRIP, 4.0, r.start_speed_mps).unwrap();
+        let (new, old) = (time_from_s(&path, &anew, 0), time_from_s(&first, &speeds, i));
+        assert!(new < 1.02 * old, "at {:.2} m: {new:.3} s instead of {old:.3} s", p.s_m);
+        checked += 1;
+        braking += usize::from(speeds[i + 1] < speeds[i]);
+    }
+    assert!(checked > 10 && braking > 3, "{checked} {braking}");
 }
 
 #[test]

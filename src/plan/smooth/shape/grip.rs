@@ -79,3 +79,13 @@ impl Smoother {
         }
     }
 }
+
+/// Curvature at `s_m` of the way that the car is on, 1/m; where that way stops, zero.
+pub(super) fn held_pm(held: &[(f64, f64)], s_m: f64) -> f64 {
+    let next = held.partition_point(|(s, _)| *s < s_m);
+    match (next.checked_sub(1).and_then(|i| held.get(i)), held.get(next)) {
+        (Some((s0, k0)), Some((s1, k1))) => (k0 + (k1 - k0) * ((s_m - s0) / (s1 - s0))).abs(),
+        (None, Some((_, k))) => k.abs(),
+        _ => 0.0,
+    }
+}

@@ -79,16 +79,18 @@ impl Smoother {
         self.reference.windows(2).map(|w| (w[1] - w[0]).norm()).sum()
     }
 
-    /// Shortens the reference polyline by up to `END_SEARCH_M` so that its end has `enough_m` of
-    /// clearance, or the most there is. Returns by how much.
+    /// Shortens the reference polyline by up to `END_SEARCH_M`, but no more than half of it, so that
+    /// its end has `enough_m` of clearance, or the most there is. Returns by how much.
     pub(super) fn step_back(&mut self, field: &impl ClearanceField, enough_m: f64) -> f64 {
         let clearance_m = |p: &Point| field.clearance_m(*p).min(enough_m);
+        let length_m: f64 = self.reference.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+        let search_m = END_SEARCH_M.min(0.5 * length_m);
         let mut end = *self.reference.last().expect("the guide has points");
         let (mut best, mut best_m, mut best_clearance_m) = (end, 0.0, clearance_m(&end));
         let mut points = self.reference.iter().rev().skip(1);
         let (mut back_m, mut next) = (0.0, points.next());
         while let Some(target) = next {
-            if best_clearance_m >= enough_m || back_m + END_STEP_M > END_SEARCH_M {
+            if best_clearance_m >= enough_m || back_m + END_STEP_M > search_m {
                 break;
             }
             // one step towards the point before, or to it
