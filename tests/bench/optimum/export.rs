@@ -11,6 +11,7 @@ use std::time::Instant;
 use apexd::autopilot::CoreParams;
 use apexd::params::{Layers, Params};
 use apexd::plan::PlannerParams;
+use apexd::sim::drive::Outcome;
 use apexd::sim::maze::{Family, Maze, generate};
 use apexd::sim::rig::{Latency, Rig, RigSetup};
 use apexd::wire::can::Layout;
@@ -56,15 +57,35 @@ fn main() -> Result<(), Box<dyn Error>> {
         layers.set(assignment);
     }
     let params = layers.build().map_err(|faults| faults.to_string())?;
+    let mut ratios = Vec::new();
     for seed in options.seeds.0..=options.seeds.1 {
         let file = options.out.join(format!("thin-{seed}-{}.json", options.speed));
         let maze = generate(Family::Thin, seed, 0.1)?;
-        drive(&maze, &params, &file)?;
+        let time_s = drive(&maze, &params, &file)?;
+        if let (Some(time_s), Some(optimum_s)) = (time_s, optimum_s(seed, options.speed)) {
+            ratios.push(time_s / optimum_s);
+            eprintln!("    {:.4} of the optimum, {optimum_s:.3} s", time_s / optimum_s);
+        }
+    }
+    if !ratios.is_empty() {
+        let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+        let worst = ratios.iter().copied().fold(0.0, f64::max);
+        eprintln!("{} drives: mean {mean:.4} of the optimum, worst {worst:.4}", ratios.len());
     }
     Ok(())
 }
 
-fn drive(maze: &Maze, params: &Params, file: &Path) -> Result<(), Box<dyn Error>> {
+/// The optimum of a maze at a speed limit, seconds, where `optima.csv` has it.
+fn optimum_s(seed: u64, speed_mps: f64) -> Option<f64> {
+    include_str!("optima.csv").lines().skip(1).find_map(|line| {
+        let mut fields = line.split(',');
+        let this = fields.next()?.parse() == Ok(seed) && fields.next()?.parse() == Ok(speed_mps);
+        this.then(|| fields.next()?.parse().ok()).flatten()
+    })
+}
+
+/// Drives, writes the file, and returns the time if the goal was reached, seconds.
+fn drive(maze: &Maze, params: &Params, file: &Path) -> Result<Option<f64>, Box<dyn Error>> {
     let begun = Instant::now();
     let p = params.clone();
     let mut rig = Rig::new(RigSetup {
@@ -150,5 +171,5 @@ fn drive(maze: &Maze, params: &Params, file: &Path) -> Result<(), Box<dyn Error>
     });
     std::fs::write(file, serde_json::to_string(&record)?)?;
     eprintln!("{} {:?} {:.3} s", file.display(), summary.outcome, summary.time_s);
-    Ok(())
+    Ok((summary.outcome == Outcome::Goal).then_some(summary.time_s))
 }
