@@ -107,6 +107,8 @@ const BLEND_S: f64 = 0.8;
 const SIGHT_M: f64 = 0.05;
 /// An old path shorter than this says nothing about the way, metres.
 const OLD_WAY_LEAST_M: f64 = 0.3;
+/// With this much of it left, the old path need not lead on to be driven further, metres.
+const PLENTY_M: f64 = 8.0;
 /// Shapes keep this much more clearance than the certificate asks for: it measures chords and their
 /// bulge where smoothing looks at samples.
 const SHAPE_SLACK_M: f64 = 0.005;
@@ -243,7 +245,6 @@ impl Planner {
         if self.nearly_there(request, &here) {
             return Verdict::Keep;
         }
-        *candidates += 1;
         let mut found = self.guide(request, &here, times);
         if found.is_err() && self.impasses.give_up(here.point.position) {
             self.set_masks(request);
@@ -285,28 +286,26 @@ impl Planner {
         let mut rejection = Rejection::NothingToGain;
         let goes_on = old.as_ref().is_some_and(|old| old.follows.is_some());
         if goes_on || !leaves_heading(here.pose(), guide, self.params.manoeuvre.skip_turn_rad) {
-            // A shape may bend as the committed path does at the speed planned there, or else only
-            // as the present speed allows: the first is faster, the second rarely too fast.
-            for held in [Bends::AsCommitted, Bends::AsSpeedAllows] {
+            *candidates += 1;
+            let way = self.straight_on(request, guide, old.as_ref());
+            match self.straight_plan(request, &here, way, Bends::AsCommitted, times) {
+                Ok(plan) => return Verdict::Plan(Box::new(plan)),
+                Err(reason) => rejection = reason,
+            }
+            // The way leads on as before: drive the old path, as far as it is clear by now.
+            if let Some(old) = old.as_ref().filter(|old| old.agrees) {
+                *candidates += 1;
+                if let Ok(plan) = self.certified(request, &old.candidate, times) {
+                    return Verdict::Plan(Box::new(plan));
+                }
+            }
+            if here.speed_mps > 0.0 {
+                *candidates += 1;
                 let way = self.straight_on(request, guide, old.as_ref());
-                let plan = self
-                    .shaped(request, &here, way, held, times)
-                    .and_then(|candidate| self.certified(request, &candidate, times));
-                match plan {
+                match self.straight_plan(request, &here, way, Bends::AsSpeedAllows, times) {
                     Ok(plan) => return Verdict::Plan(Box::new(plan)),
                     Err(reason) => rejection = reason,
                 }
-                if here.speed_mps <= 0.0 {
-                    break;
-                }
-                *candidates += 1;
-            }
-        }
-        // The way leads on as before: drive the old path, as far as it is clear by now.
-        if let Some(old) = old.filter(|old| old.agrees) {
-            *candidates += 1;
-            if let Ok(plan) = self.certified(request, &old.candidate, times) {
-                return Verdict::Plan(Box::new(plan));
             }
         }
         if goes_on && here.speed_mps > 0.0 {
@@ -545,7 +544,7 @@ impl Planner {
             && path.points.last().is_some_and(|p| {
                 (p.position - request.goal.position).norm() <= request.goal.radius_m
             });
-        let leads_on = length_m > stop.s_m - start.s_m + SHORTEST_PLAN_M;
+        let leads_on = length_m > (stop.s_m - start.s_m + SHORTEST_PLAN_M).min(PLENTY_M);
         let rest_m = (guide.length_m - length_m).max(0.0);
         let candidate = Candidate { path, reaches_goal, rest_m };
         let agrees = follows.is_some() && (leads_on || reaches_goal);
@@ -708,6 +707,19 @@ impl Planner {
         let task = SpeedTask { start_speed_mps, end: End::Speed(speed_max_mps), caps_mps: None };
         let driven_s = self.profiler.travel_time_s(&candidate.path.points, &limits, &task).ok()?;
         Some(driven_s + candidate.rest_m / speed_max_mps)
+    }
+
+    /// A plan straight on along the way.
+    fn straight_plan(
+        &mut self,
+        request: &PlanRequest,
+        here: &Branch,
+        way: Way,
+        bends: Bends,
+        times: &mut StepTimes,
+    ) -> Result<Plan, Rejection> {
+        let candidate = self.shaped(request, here, way, bends, times)?;
+        self.certified(request, &candidate, times)
     }
 
     /// The candidate's executable part with speeds and certificate.

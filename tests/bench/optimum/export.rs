@@ -86,6 +86,7 @@ fn optimum_s(seed: u64, speed_mps: f64) -> Option<f64> {
 
 /// Drives, writes the file, and returns the time if the goal was reached, seconds.
 fn drive(maze: &Maze, params: &Params, file: &Path) -> Result<Option<f64>, Box<dyn Error>> {
+    #[allow(clippy::disallowed_methods)] // a tool beside the product, for its own figures
     let begun = Instant::now();
     let p = params.clone();
     let mut rig = Rig::new(RigSetup {

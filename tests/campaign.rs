@@ -1,0 +1,146 @@
+//! Drives through random mazes: every policy and predictor, no contact, no entry into space that
+//! was not seen to be free, nobody stuck.
+//!
+//! The default is a handful of mazes a family. `APEXD_CAMPAIGN=full` drives 100 of each family at
+//! 4 m/s and 20 at 8 m/s, and prints the table of `docs/experiments.md`; `APEXD_CAMPAIGN=N` drives N
+//! at 4 m/s and N/5 at 8 m/s.
+
+use apexd::autopilot::CoreParams;
+use apexd::plan::{PlannerParams, Policy};
+use apexd::predict::{PredictParams, PredictorKind};
+use apexd::sim::drive::{Outcome, Summary};
+use apexd::sim::lidar::LidarParams;
+use apexd::sim::maze::{Family, generate};
+use apexd::sim::rig::{Latency, Rig, RigSetup};
+use rayon::prelude::*;
+
+/// What is driven, and at which speed.
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    family: Family,
+    seed: u64,
+    policy: Policy,
+    predictor: PredictorKind,
+    speed_max_mps: f64,
+}
+
+/// Way driven in a whole millimetre grid: two drives are the same if theirs are.
+struct Driven {
+    case: Case,
+    summary: Summary,
+}
+
+fn drive(case: Case) -> Driven {
+    let maze = generate(case.family, case.seed, 0.1).expect("0.1 m divides the hallway");
+    let mut planner = PlannerParams::default();
+    planner.plan.policy = case.policy;
+    planner.speed.speed_max_mps = case.speed_max_mps;
+    let core = CoreParams { speed: planner.speed.clone(), ..CoreParams::default() };
+    let rate_hz = if case.speed_max_mps > 6.0 { 40.0 } else { 20.0 };
+    let mut rig = Rig::new(RigSetup {
+        world: maze.world,
+        start: maze.start,
+        goal: Some(maze.goal),
+        core,
+        planner,
+        predict: PredictParams { kind: case.predictor, ..PredictParams::default() },
+        bus: Default::default(),
+        lidar: LidarParams { rate_hz, ..LidarParams::default() },
+        car: Default::default(),
+        controller: Default::default(),
+        layout: apexd::wire::can::Layout::Fd,
+        faults: Default::default(),
+        seed: case.seed,
+        latency: Latency::Fixed(0.02),
+        time_limit_s: None,
+        stopwatch: Box::new(|| std::time::Duration::ZERO),
+        planning: None,
+    })
+    .expect("start and goal of a maze are free");
+    rig.drive(|_| {});
+    Driven { case, summary: rig.summary(0.0) }
+}
+
+/// Number of mazes a family at 4 m/s, and at 8 m/s.
+fn size() -> (u64, u64) {
+    match std::env::var("APEXD_CAMPAIGN").as_deref() {
+        Ok("full") => (100, 20),
+        Ok(n) => n.parse().map(|n: u64| (n, n.div_ceil(5))).expect("a number, or full"),
+        Err(_) => (3, 1),
+    }
+}
+
+/// Drives, prints one row, and gives the drives.
+fn row(policy: Policy, predictor: PredictorKind, speed_max_mps: f64, mazes: u64) -> Vec<Driven> {
+    let cases: Vec<Case> = [Family::Thin, Family::Solid, Family::Branching]
+        .into_iter()
+        .flat_map(|family| {
+            (1..=mazes).map(move |seed| Case { family, seed, policy, predictor, speed_max_mps })
+        })
+        .collect();
+    let driven: Vec<Driven> = cases.into_par_iter().map(drive).collect();
+    let count = |f: &dyn Fn(&Summary) -> u64| driven.iter().map(|d| f(&d.summary)).sum::<u64>();
+    let with = |o: Outcome| driven.iter().filter(|d| d.summary.outcome == o).count();
+    println!(
+        "| {} | {} | {speed_max_mps} | {} | {} | {} | {} | {} | {} | {} | {:.1} % |",
+        policy.name(),
+        predictor.name(),
+        driven.len(),
+        with(Outcome::Goal),
+        with(Outcome::Stuck),
+        with(Outcome::Timeout),
+        count(&|s| s.collisions),
+        count(&|s| s.unknown_entries),
+        count(&|s| s.guard_stops),
+        100.0 * count(&|s| s.plans_rejected) as f64 / count(&|s| s.replans).max(1) as f64,
+    );
+    for d in driven.iter().filter(|d| d.summary.outcome != Outcome::Goal) {
+        let (case, outcome) = (&d.case, d.summary.outcome);
+        println!("  {outcome:?}: {case:?}");
+    }
+    driven
+}
+
+#[test]
+fn mazes_are_driven_safely_whatever_is_predicted() {
+    let (at_4, at_8) = size();
+    println!(
+        "| policy | predictor | m/s | drives | goal | stuck | timeout | collisions | unknown entries | guard stops | rejected |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut failures = Vec::new();
+    let mut paths: Vec<(PredictorKind, Vec<f64>)> = Vec::new();
+    for (speed, mazes) in [(4.0, at_4), (8.0, at_8)] {
+        for (policy, predictor) in [
+            (Policy::MapPredictive, PredictorKind::None),
+            (Policy::MapPredictive, PredictorKind::Oracle),
+            (Policy::MapPredictive, PredictorKind::Random),
+            (Policy::MapPredictive, PredictorKind::Inverted),
+            (Policy::Frontier, PredictorKind::None),
+        ] {
+            let driven = row(policy, predictor, speed, mazes);
+            let safe = |s: &Summary| s.collisions == 0 && s.unknown_entries == 0;
+            for d in &driven {
+                if !safe(&d.summary) {
+                    failures.push(format!("unsafe: {:?}", d.case));
+                }
+                let must_arrive = policy == Policy::MapPredictive
+                    && matches!(predictor, PredictorKind::None | PredictorKind::Oracle);
+                if must_arrive && d.summary.outcome != Outcome::Goal {
+                    failures.push(format!("{:?}: {:?}", d.summary.outcome, d.case));
+                }
+            }
+            if policy == Policy::MapPredictive && speed == 4.0 {
+                paths.push((predictor, driven.iter().map(|d| d.summary.path_m).collect()));
+            }
+        }
+    }
+    // A predictor that changes nothing would make all of this worthless.
+    let (none, others) = paths.split_first().expect("the first row is none");
+    for (predictor, path_m) in others {
+        if *predictor != PredictorKind::Oracle {
+            assert_ne!(&none.1, path_m, "{predictor:?} makes no difference");
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
