@@ -8,6 +8,11 @@ use crate::plan::bubbles::ClearanceField;
 const CLEARANCE_TOLERANCE_M: f64 = 1e-5;
 const CURVATURE_TOLERANCE: f64 = 1e-6;
 
+/// What the speed profile may use beyond the wished share where the start speed asks for it. Less
+/// refuses a path along which a plan at the limit is being driven already: its braking, worked out
+/// anew from other samples, comes out a rounding too weak.
+const BRAKE_LEAVE: f64 = 1.03;
+
 /// What to change after a failed check.
 pub(super) enum Mend {
     /// Curvature bound times this.
@@ -61,14 +66,14 @@ impl Smoother {
     }
 
     /// Brakes from the start speed as hard as the friction circle allows along the path: its speed
-    /// must nowhere be more than the bends bear. (With a few percent of leave: the speed profile
-    /// is the judge, this saves it hopeless paths.)
+    /// must nowhere be more than the bends bear. (With some leave: the speed profile is the judge,
+    /// this saves it hopeless paths.)
     pub(super) fn brake<F: ClearanceField>(&self, task: &Task<'_, F>) -> Result<(), SmoothError> {
-        let grip = task.request.acceleration_limit_mps2;
+        let grip = BRAKE_LEAVE * task.request.acceleration_limit_mps2;
         let mut energy = task.request.start_speed_mps.powi(2);
         for w in self.path.points.windows(2) {
             let lateral = energy * w[0].curvature_pm.abs().max(w[1].curvature_pm.abs());
-            if lateral > 1.02 * grip {
+            if lateral > grip {
                 return Err(SmoothError::TooFast { s_m: w[1].s_m, speed_mps: energy.sqrt() });
             }
             let braking = (grip * grip - lateral * lateral).max(0.0).sqrt();
