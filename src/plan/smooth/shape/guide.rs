@@ -126,7 +126,11 @@ impl Smoother {
     pub(super) fn resample(&mut self, params: &SmoothParams, length_m: f64) -> f64 {
         let pieces = ((length_m / params.spacing_m).ceil() as usize).max(PIECES_MIN);
         let d_m = length_m / pieces as f64;
-        let polyline = std::mem::take(&mut self.reference);
+        let mut polyline = std::mem::take(&mut self.reference);
+        // A guide cut back to a single point has no direction; the solver then says so.
+        if polyline.len() == 1 {
+            polyline.push(polyline[0]);
+        }
         let out = &mut self.controls;
         out.clear();
         out.push(polyline[0]);
