@@ -3,6 +3,7 @@
 //! A prediction may change the path and the wished speed, never the stop: `guard` and
 //! `plan::certify` have no access to it.
 
+pub mod lattice;
 mod reach;
 mod reference;
 

@@ -7,6 +7,7 @@ use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::configuration::Flag;
 use super::sil::{SilRequest, WorldSource};
+use crate::experiment::dataset::Settings;
 use crate::frames::{Point, Pose};
 use crate::params::Params;
 use crate::plan::Policy;
@@ -37,6 +38,8 @@ pub enum Command {
     Sil(Box<SilArgs>),
     /// Write a maze as ROS map_server files.
     Maze(MazeArgs),
+    /// Make training or held-out data for the predictor.
+    Dataset(DatasetArgs),
     /// Print the table of parameters.
     Params(ParamsArgs),
     /// Say what is wrong with a configuration file.
@@ -198,6 +201,96 @@ pub struct MazeArgs {
     pub out: PathBuf,
 }
 
+/// Options of `apexd dataset`.
+#[derive(Args, Debug)]
+pub struct DatasetArgs {
+    /// Folder to write; must be empty.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: PathBuf,
+    /// Write into the folder even if it is not empty.
+    #[arg(long, help_heading = "Output")]
+    pub force: bool,
+    /// Print the manifest as one JSON object instead of the summary.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+
+    /// Kinds of maze, separated by commas.
+    #[arg(
+        long,
+        value_parser = family(),
+        value_delimiter = ',',
+        default_value = Family::Thin.name(),
+        help_heading = "Worlds"
+    )]
+    pub families: Vec<Family>,
+    /// Mazes of each kind, from seed A to the one before B. Seeds from 1000000 up are held out.
+    #[arg(long, value_name = "A..B", value_parser = seeds, help_heading = "Worlds")]
+    pub seeds: Option<[u64; 2]>,
+    /// A folder with ROS map_server maps, searched with everything below it, or one YAML file; may
+    /// be repeated.
+    #[arg(long, value_name = "DIR", num_args = 1.., help_heading = "Worlds")]
+    pub maps: Vec<PathBuf>,
+    /// Make data for scoring, from mazes that no network is trained on (the folder is marked, and
+    /// training refuses it).
+    #[arg(long, help_heading = "Worlds")]
+    pub held_out: bool,
+    /// Side of a world cell of the mazes, metres. If it equals --resolution, everything is done on
+    /// the lattice itself: maps are brought to it, and the car's map has cells of that size.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 0.1,
+        help_heading = "Worlds")]
+    pub world_resolution: f64,
+
+    /// Scenes in each maze and in each map.
+    #[arg(long, value_name = "N", default_value_t = 50, help_heading = "Scenes")]
+    pub scenes_per_world: usize,
+    /// Side of a cell of the lattice that a network sees, metres.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 0.25,
+        help_heading = "Scenes")]
+    pub resolution: f64,
+    /// How far the lidar sees, metres; of several each scene draws one.
+    #[arg(long, value_name = "METRES", value_parser = positive, value_delimiter = ',',
+        default_value = "7.5", help_heading = "Scenes")]
+    pub lidar_range: Vec<f64>,
+    /// Beams of a scan.
+    #[arg(long, value_name = "N", default_value_t = 1080, help_heading = "Scenes")]
+    pub beams: u32,
+    /// Share of the scenes whose map has been built along a drive; the others have one scan.
+    #[arg(long, value_name = "FRACTION", value_parser = share, default_value_t = 0.5,
+        help_heading = "Scenes")]
+    pub along_drive: f64,
+    /// Longest drive, metres; drives of each order of magnitude up to it are equally frequent.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 160.0,
+        help_heading = "Scenes")]
+    pub drive_max: f64,
+    /// Least distance of the poses from a wall, metres.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 0.3,
+        help_heading = "Scenes")]
+    pub clearance: f64,
+    /// Seed of poses and drives.
+    #[arg(long, default_value_t = 1, help_heading = "Scenes")]
+    pub seed: u64,
+}
+
+impl DatasetArgs {
+    /// What these options ask for.
+    pub fn settings(&self) -> Settings {
+        Settings {
+            families: self.families.iter().map(|family| family.name().to_owned()).collect(),
+            seeds: self.seeds.unwrap_or([0, 0]),
+            scenes_per_world: self.scenes_per_world,
+            resolution_m: self.resolution,
+            world_resolution_m: self.world_resolution,
+            lidar_ranges_m: self.lidar_range.clone(),
+            beams: self.beams,
+            along_drive: self.along_drive,
+            drive_max_m: self.drive_max,
+            clearance_m: self.clearance,
+            held_out: self.held_out,
+            seed: self.seed,
+        }
+    }
+}
+
 /// Options of `apexd params`.
 #[derive(Args, Clone, Copy, Debug)]
 pub struct ParamsArgs {
@@ -244,6 +337,21 @@ fn policy() -> impl TypedValueParser<Value = Policy> {
 
 fn predictor() -> impl TypedValueParser<Value = PredictorKind> {
     choice(PredictorKind::ALL, PredictorKind::name, PredictorKind::text)
+}
+
+/// A range of seeds, its upper end left out.
+fn seeds(text: &str) -> Result<[u64; 2], String> {
+    let ends = text.split_once("..").and_then(|(a, b)| Some([a.parse().ok()?, b.parse().ok()?]));
+    match ends {
+        Some([from, end]) if from < end => Ok([from, end]),
+        _ => Err("wanted are two whole numbers A..B, the second one larger, as in 0..2000".into()),
+    }
+}
+
+/// A number from 0 to 1.
+fn share(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|v| (0.0..=1.0).contains(v));
+    number.ok_or_else(|| "wanted is a number from 0 to 1".into())
 }
 
 /// `N` numbers separated by commas.

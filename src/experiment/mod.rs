@@ -1,0 +1,3 @@
+//! Experiments on the whole: data for the predictor and its scores.
+
+pub mod dataset;
