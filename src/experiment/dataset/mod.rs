@@ -20,6 +20,7 @@
 mod npy;
 mod place;
 mod scenes;
+mod stored;
 mod truth;
 
 use std::path::{Path, PathBuf};
@@ -32,6 +33,7 @@ use serde::{Deserialize, Serialize};
 
 pub use npy::{sha256, sha256_of_file};
 pub use scenes::{FRONTIER_CELLS_MIN, FRONTIERS, Kind, Scene};
+pub use stored::{SceneRow, Stored};
 pub use truth::{NO_TARGET, Truth};
 
 use crate::frames::Point;
@@ -39,6 +41,7 @@ use crate::mapfile::{self, MapFile, MapFileError};
 use crate::predict::lattice::CROP_CELLS;
 use crate::sim::maze::{self, Family, MazeError};
 use crate::sim::world::World;
+use npy::Element;
 use place::Place;
 use scenes::Surveyor;
 
@@ -184,6 +187,14 @@ pub enum DatasetError {
         /// The folder.
         path: PathBuf,
     },
+    /// A file of a data set is not what it should be.
+    #[error("{}: {why}", .path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what is wanted.
+        why: String,
+    },
     /// No scene came about.
     #[error("no car with a clearance of {clearance_m} m fits into any of the worlds")]
     NoRoom {
@@ -210,41 +221,17 @@ pub fn generate(
     force: bool,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Manifest, DatasetError> {
-    let families = check(settings)?;
-    let maps = find_maps(map_folders)?;
-    let mut sources = Vec::new();
-    for seed in settings.seeds[0]..settings.seeds[1] {
-        sources.extend(families.iter().map(|family| Source::Maze(*family, seed)));
-    }
-    sources.extend((0..maps.len()).map(Source::Map));
-    if sources.is_empty() {
-        return Err(DatasetError::NoWorlds);
-    }
+    let (sources, maps) = worlds(settings, map_folders)?;
     prepare_folder(out, force)?;
 
-    let total = sources.len() * settings.scenes_per_world;
-    let done = AtomicUsize::new(0);
     let mut files = Files::create(out)?;
     let mut entries: Vec<MapEntry> = Vec::new();
     let mut scenes = 0;
-    // Some hundred megabytes at a time.
-    let batch = (8192 / settings.scenes_per_world).clamp(2, 256);
-    for batch in sources.chunks(batch) {
-        let made: Result<Vec<_>, DatasetError> = batch
-            .par_iter()
-            .map(|source| {
-                let (found, entry) = survey(settings, source, &maps)?;
-                let made = settings.scenes_per_world;
-                progress(done.fetch_add(made, Ordering::Relaxed) + made, total);
-                Ok((source, found, entry))
-            })
-            .collect();
-        for (source, found, entry) in made? {
-            scenes += found.len();
-            files.push(source, &found)?;
-            entries.extend(entry);
-        }
-    }
+    for_each_world(settings, &sources, &maps, progress, &mut |source, found, entry| {
+        scenes += found.len();
+        entries.extend(entry);
+        files.push(source, &found)
+    })?;
     if scenes == 0 {
         return Err(DatasetError::NoRoom { clearance_m: settings.clearance_m });
     }
@@ -261,6 +248,78 @@ pub fn generate(
     let text = serde_json::to_string_pretty(&manifest).expect("a manifest is plain data");
     std::fs::write(&path, text + "\n").map_err(|error| DatasetError::File { path, error })?;
     Ok(manifest)
+}
+
+/// Makes the scenes that [`generate`] would write, and hands them out one by one, with the maps'
+/// entries at the end.
+///
+/// # Errors
+/// If the settings are impossible, a map cannot be read, or no car fits anywhere.
+pub fn scenes(
+    settings: &Settings,
+    map_folders: &[PathBuf],
+    progress: &(dyn Fn(usize, usize) + Sync),
+    take: &mut dyn FnMut(SceneRow),
+) -> Result<Vec<MapEntry>, DatasetError> {
+    let (sources, maps) = worlds(settings, map_folders)?;
+    let (mut count, mut entries) = (0, Vec::new());
+    for_each_world(settings, &sources, &maps, progress, &mut |source, found, entry| {
+        count += found.len();
+        entries.extend(entry);
+        for Scene { observed, truth, .. } in found {
+            let (family, source) = (source.family(), source.number());
+            take(SceneRow { observed, truth, family, source });
+        }
+        Ok(())
+    })?;
+    if count == 0 {
+        return Err(DatasetError::NoRoom { clearance_m: settings.clearance_m });
+    }
+    Ok(entries)
+}
+
+/// The worlds that the settings name, checked.
+fn worlds(
+    settings: &Settings,
+    map_folders: &[PathBuf],
+) -> Result<(Vec<Source>, Vec<(PathBuf, MapFile)>), DatasetError> {
+    let families = check(settings)?;
+    let maps = find_maps(map_folders)?;
+    let mut sources = Vec::new();
+    for seed in settings.seeds[0]..settings.seeds[1] {
+        sources.extend(families.iter().map(|family| Source::Maze(*family, seed)));
+    }
+    sources.extend((0..maps.len()).map(Source::Map));
+    if sources.is_empty() { Err(DatasetError::NoWorlds) } else { Ok((sources, maps)) }
+}
+
+/// Takes the scenes of all worlds on all threads, and hands them out in order.
+fn for_each_world(
+    settings: &Settings,
+    sources: &[Source],
+    maps: &[(PathBuf, MapFile)],
+    progress: &(dyn Fn(usize, usize) + Sync),
+    take: &mut dyn FnMut(&Source, Vec<Scene>, Option<MapEntry>) -> Result<(), DatasetError>,
+) -> Result<(), DatasetError> {
+    let total = sources.len() * settings.scenes_per_world;
+    let done = AtomicUsize::new(0);
+    // A hundred or two megabytes at a time.
+    let batch = (8192 / settings.scenes_per_world).clamp(2, 256);
+    for batch in sources.chunks(batch) {
+        let made: Result<Vec<_>, DatasetError> = batch
+            .par_iter()
+            .map(|source| {
+                let (found, entry) = survey(settings, source, maps)?;
+                let made = settings.scenes_per_world;
+                progress(done.fetch_add(made, Ordering::Relaxed) + made, total);
+                Ok((source, found, entry))
+            })
+            .collect();
+        for (source, found, entry) in made? {
+            take(source, found, entry)?;
+        }
+    }
+    Ok(())
 }
 
 /// Checks the numbers, and gives the families.
@@ -455,62 +514,63 @@ impl Source {
 /// The arrays while they are written.
 struct Files {
     folder: PathBuf,
-    writers: Vec<(&'static str, npy::Writer)>,
+    /// In the order of [`ARRAYS`].
+    writers: Vec<npy::Writer>,
 }
+
+/// File, element type and shape of a row.
+const ARRAYS: [(&str, &str, &[usize]); 8] = [
+    ("observed.npy", u8::DESCR, &[CROP_CELLS, CROP_CELLS]),
+    ("truth.npy", u8::DESCR, &[CROP_CELLS, CROP_CELLS]),
+    ("pose.npy", f32::DESCR, &[3]),
+    ("frontier.npy", f32::DESCR, &[FRONTIERS, 2]),
+    ("source.npy", i64::DESCR, &[]),
+    ("family.npy", u8::DESCR, &[]),
+    ("kind.npy", u8::DESCR, &[]),
+    ("lidar.npy", f32::DESCR, &[]),
+];
 
 impl Files {
     fn create(folder: &Path) -> Result<Self, DatasetError> {
-        const S: usize = CROP_CELLS;
         let mut writers = Vec::new();
-        let make: [(&'static str, fn(&Path) -> std::io::Result<npy::Writer>); 8] = [
-            ("observed.npy", |p| npy::Writer::create::<u8>(p, &[S, S])),
-            ("truth.npy", |p| npy::Writer::create::<u8>(p, &[S, S])),
-            ("pose.npy", |p| npy::Writer::create::<f32>(p, &[3])),
-            ("frontier.npy", |p| npy::Writer::create::<f32>(p, &[FRONTIERS, 2])),
-            ("source.npy", |p| npy::Writer::create::<i64>(p, &[])),
-            ("family.npy", |p| npy::Writer::create::<u8>(p, &[])),
-            ("kind.npy", |p| npy::Writer::create::<u8>(p, &[])),
-            ("lidar.npy", |p| npy::Writer::create::<f32>(p, &[])),
-        ];
-        for (name, create) in make {
+        for (name, descr, shape) in ARRAYS {
             let path = folder.join(name);
-            let writer = create(&path).map_err(|error| DatasetError::File { path, error })?;
-            writers.push((name, writer));
+            let writer = npy::Writer::create(&path, descr, shape);
+            writers.push(writer.map_err(|error| DatasetError::File { path, error })?);
         }
         Ok(Self { folder: folder.to_owned(), writers })
     }
 
     fn push(&mut self, source: &Source, scenes: &[Scene]) -> Result<(), DatasetError> {
-        let fail = |error| DatasetError::File { path: self.folder.clone(), error };
-        for scene in scenes {
-            let [observed, truth, pose, frontier, number, family, kind, lidar] =
-                &mut self.writers[..]
-            else {
-                unreachable!("there are eight arrays")
-            };
-            observed.1.push(&scene.observed).map_err(fail)?;
-            truth.1.push(&scene.truth).map_err(fail)?;
-            pose.1.push(&scene.pose).map_err(fail)?;
-            frontier.1.push(scene.frontiers.as_flattened()).map_err(fail)?;
-            number.1.push(&[source.number()]).map_err(fail)?;
-            family.1.push(&[source.family()]).map_err(fail)?;
-            kind.1.push(&[scene.kind as u8]).map_err(fail)?;
-            lidar.1.push(&[scene.lidar_range_m]).map_err(fail)?;
-        }
-        Ok(())
+        let [observed, truth, pose, frontier, number, family, kind, lidar] = &mut self.writers[..]
+        else {
+            unreachable!("there are eight arrays")
+        };
+        let mut put = |scene: &Scene| -> std::io::Result<()> {
+            observed.push(&scene.observed)?;
+            truth.push(&scene.truth)?;
+            pose.push(&scene.pose)?;
+            frontier.push(scene.frontiers.as_flattened())?;
+            number.push(&[source.number()])?;
+            family.push(&[source.family()])?;
+            kind.push(&[scene.kind as u8])?;
+            lidar.push(&[scene.lidar_range_m])
+        };
+        let path = &self.folder;
+        scenes
+            .iter()
+            .try_for_each(&mut put)
+            .map_err(|error| DatasetError::File { path: path.clone(), error })
     }
 
     fn finish(self) -> Result<Vec<ArrayEntry>, DatasetError> {
         let folder = self.folder;
-        self.writers
-            .into_iter()
-            .map(|(name, writer)| {
-                let sha256 = writer
-                    .finish()
-                    .map_err(|error| DatasetError::File { path: folder.join(name), error })?;
-                Ok(ArrayEntry { file: name.to_owned(), sha256 })
-            })
-            .collect()
+        let finish = |(writer, (name, ..)): (npy::Writer, (&str, &str, &[usize]))| {
+            let sha256 = writer.finish();
+            let fail = |error| DatasetError::File { path: folder.join(name), error };
+            Ok(ArrayEntry { file: name.to_owned(), sha256: sha256.map_err(fail)? })
+        };
+        self.writers.into_iter().zip(ARRAYS).map(finish).collect()
     }
 }
 
