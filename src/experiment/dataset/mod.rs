@@ -17,9 +17,12 @@
 //! `manifest.json` holds every setting and the SHA-256 of every array. The bytes follow from the
 //! settings alone, whatever the number of threads.
 
+mod arrays;
+mod maps;
 mod npy;
 mod place;
 mod scenes;
+mod settings;
 mod stored;
 mod truth;
 
@@ -31,17 +34,19 @@ use rand_chacha::rand_core::SeedableRng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+pub use maps::{find_maps, map_hash};
 pub use npy::{sha256, sha256_of_file};
 pub use scenes::{FRONTIER_CELLS_MIN, FRONTIERS, Kind, Scene};
+pub use settings::Settings;
 pub use stored::{SceneRow, Stored};
 pub use truth::{NO_TARGET, Truth};
 
 use crate::frames::Point;
-use crate::mapfile::{self, MapFile, MapFileError};
+use crate::mapfile::{MapFile, MapFileError};
 use crate::predict::lattice::CROP_CELLS;
 use crate::sim::maze::{self, Family, MazeError};
 use crate::sim::world::World;
-use npy::Element;
+use arrays::Files;
 use place::Place;
 use scenes::Surveyor;
 
@@ -53,36 +58,6 @@ pub const FAMILY_MAP: u8 = 3;
 
 /// Format of the folder.
 pub const FORMAT_VERSION: u32 = 1;
-
-/// What scenes are to be like, and from which worlds.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Settings {
-    /// Kinds of maze, by name.
-    pub families: Vec<String>,
-    /// The first seed of the mazes, and the one after the last; equal for no mazes.
-    pub seeds: [u64; 2],
-    /// Scenes taken in each maze, and in each map.
-    pub scenes_per_world: usize,
-    /// Side of a coarse cell, metres.
-    pub resolution_m: f64,
-    /// Side of a cell of the mazes, metres. If it equals the coarse cell's, maps are brought to it
-    /// too and the car's own map has such cells; else these have the mapper's own size.
-    pub world_resolution_m: f64,
-    /// Ranges of the lidar, metres; each scene's is drawn from them.
-    pub lidar_ranges_m: Vec<f64>,
-    /// Beams of a scan.
-    pub beams: u32,
-    /// Probability that a scene's map is one along a drive.
-    pub along_drive: f64,
-    /// Longest drive, metres.
-    pub drive_max_m: f64,
-    /// Clearance of the poses from the nearest wall, metres.
-    pub clearance_m: f64,
-    /// Whether these are for scoring, not for training.
-    pub held_out: bool,
-    /// Seed of poses and drives.
-    pub seed: u64,
-}
 
 /// A map of the data set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -230,7 +205,7 @@ pub fn generate(
     for_each_world(settings, &sources, &maps, progress, &mut |source, found, entry| {
         scenes += found.len();
         entries.extend(entry);
-        files.push(source, &found)
+        files.push((source.family(), source.number()), &found)
     })?;
     if scenes == 0 {
         return Err(DatasetError::NoRoom { clearance_m: settings.clearance_m });
@@ -283,7 +258,7 @@ fn worlds(
     settings: &Settings,
     map_folders: &[PathBuf],
 ) -> Result<(Vec<Source>, Vec<(PathBuf, MapFile)>), DatasetError> {
-    let families = check(settings)?;
+    let families = settings.check()?;
     let maps = find_maps(map_folders)?;
     let mut sources = Vec::new();
     for seed in settings.seeds[0]..settings.seeds[1] {
@@ -317,107 +292,6 @@ fn for_each_world(
             .collect();
         for (source, found, entry) in made? {
             take(source, found, entry)?;
-        }
-    }
-    Ok(())
-}
-
-/// Checks the numbers, and gives the families.
-fn check(settings: &Settings) -> Result<Vec<Family>, DatasetError> {
-    let refuse = |name, value: String, allowed| Err(DatasetError::Setting { name, value, allowed });
-    let mut families = Vec::new();
-    for name in &settings.families {
-        match Family::from_name(name) {
-            Some(family) if !families.contains(&family) => families.push(family),
-            Some(_) => return refuse("a family", name.clone(), "named once"),
-            None => return refuse("a family", name.clone(), "thin, solid or branching"),
-        }
-    }
-    let [from, end] = settings.seeds;
-    if end < from || end >= 1 << 48 {
-        return refuse("the range of seeds", format!("{from}..{end}"), "ascending, below 2^48");
-    }
-    if from < end && settings.held_out && from < HELD_OUT_FROM {
-        return Err(DatasetError::NotHeldOut { from });
-    }
-    if from < end && !settings.held_out && end > HELD_OUT_FROM {
-        return Err(DatasetError::HeldOut { from, last: end - 1 });
-    }
-    let within = |v: f64, low: f64, high: f64| v >= low && v <= high;
-    if !(1..=100_000).contains(&settings.scenes_per_world) {
-        let value = settings.scenes_per_world.to_string();
-        return refuse("the number of scenes a world", value, "1 to 100000");
-    }
-    if !within(settings.resolution_m, 0.1, 1.0) {
-        let value = settings.resolution_m.to_string();
-        return refuse("the resolution", value, "0.1 to 1 m");
-    }
-    if !within(settings.along_drive, 0.0, 1.0) {
-        let value = settings.along_drive.to_string();
-        return refuse("the share along drives", value, "0 to 1");
-    }
-    if !within(settings.drive_max_m, 1.0, 1000.0) {
-        return refuse("the longest drive", settings.drive_max_m.to_string(), "1 to 1000 m");
-    }
-    if !within(settings.clearance_m, 0.2, 1.0) {
-        return refuse("the clearance", settings.clearance_m.to_string(), "0.2 to 1 m");
-    }
-    if !(64..=4096).contains(&settings.beams) {
-        return refuse("the number of beams", settings.beams.to_string(), "64 to 4096");
-    }
-    if settings.lidar_ranges_m.is_empty() {
-        return refuse("the list of lidar ranges", "empty".into(), "one range or more");
-    }
-    if let Some(range) = settings.lidar_ranges_m.iter().find(|r| !within(**r, 1.0, 30.0)) {
-        return refuse("the lidar range", range.to_string(), "1 to 30 m");
-    }
-    if from < end {
-        // Said before the first scene, and not after an hour.
-        maze::generate(Family::Solid, from, settings.world_resolution_m)?;
-    }
-    Ok(if from < end { families } else { Vec::new() })
-}
-
-/// All maps in some folders, with the names of their files: a YAML file that is something else is
-/// passed over.
-pub fn find_maps(folders: &[PathBuf]) -> Result<Vec<(PathBuf, MapFile)>, DatasetError> {
-    let mut maps = Vec::new();
-    for folder in folders {
-        let mut files = Vec::new();
-        if folder.is_file() {
-            files.push(folder.clone());
-        } else {
-            collect_yaml(folder, &mut files)?;
-        }
-        let before = maps.len();
-        for file in files {
-            match mapfile::load(&file) {
-                Ok(map) => maps.push((file, map)),
-                Err(MapFileError::NotAMap { .. }) => {
-                    tracing::info!(file = %file.display(), "not a map, passed over");
-                }
-                Err(error) => return Err(error.into()),
-            }
-        }
-        if maps.len() == before {
-            return Err(DatasetError::NoMaps { path: folder.clone() });
-        }
-    }
-    Ok(maps)
-}
-
-fn collect_yaml(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), DatasetError> {
-    let fail = |error| DatasetError::File { path: folder.to_owned(), error };
-    let mut paths = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(fail)? {
-        paths.push(entry.map_err(fail)?.path());
-    }
-    paths.sort();
-    for path in paths {
-        if path.is_dir() {
-            collect_yaml(&path, files)?;
-        } else if path.extension().is_some_and(|e| e == "yaml" || e == "yml") {
-            files.push(path);
         }
     }
     Ok(())
@@ -481,20 +355,6 @@ fn survey(
     Ok((scenes, entry))
 }
 
-/// A hash of what a map says.
-pub fn map_hash(map: &MapFile) -> String {
-    let mut bytes = Vec::with_capacity(map.cells.len() + 64);
-    let origin = map.origin;
-    for v in [map.resolution_m, origin.position.x, origin.position.y, origin.heading_rad] {
-        bytes.extend_from_slice(&v.to_le_bytes());
-    }
-    for v in [map.width, map.height] {
-        bytes.extend_from_slice(&(v as u64).to_le_bytes());
-    }
-    bytes.extend(map.cells.iter().map(|cell| *cell as u8));
-    sha256(&bytes)
-}
-
 impl Source {
     const fn family(&self) -> u8 {
         match self {
@@ -508,69 +368,6 @@ impl Source {
             Self::Maze(_, seed) => *seed as i64,
             Self::Map(k) => *k as i64,
         }
-    }
-}
-
-/// The arrays while they are written.
-struct Files {
-    folder: PathBuf,
-    /// In the order of [`ARRAYS`].
-    writers: Vec<npy::Writer>,
-}
-
-/// File, element type and shape of a row.
-const ARRAYS: [(&str, &str, &[usize]); 8] = [
-    ("observed.npy", u8::DESCR, &[CROP_CELLS, CROP_CELLS]),
-    ("truth.npy", u8::DESCR, &[CROP_CELLS, CROP_CELLS]),
-    ("pose.npy", f32::DESCR, &[3]),
-    ("frontier.npy", f32::DESCR, &[FRONTIERS, 2]),
-    ("source.npy", i64::DESCR, &[]),
-    ("family.npy", u8::DESCR, &[]),
-    ("kind.npy", u8::DESCR, &[]),
-    ("lidar.npy", f32::DESCR, &[]),
-];
-
-impl Files {
-    fn create(folder: &Path) -> Result<Self, DatasetError> {
-        let mut writers = Vec::new();
-        for (name, descr, shape) in ARRAYS {
-            let path = folder.join(name);
-            let writer = npy::Writer::create(&path, descr, shape);
-            writers.push(writer.map_err(|error| DatasetError::File { path, error })?);
-        }
-        Ok(Self { folder: folder.to_owned(), writers })
-    }
-
-    fn push(&mut self, source: &Source, scenes: &[Scene]) -> Result<(), DatasetError> {
-        let [observed, truth, pose, frontier, number, family, kind, lidar] = &mut self.writers[..]
-        else {
-            unreachable!("there are eight arrays")
-        };
-        let mut put = |scene: &Scene| -> std::io::Result<()> {
-            observed.push(&scene.observed)?;
-            truth.push(&scene.truth)?;
-            pose.push(&scene.pose)?;
-            frontier.push(scene.frontiers.as_flattened())?;
-            number.push(&[source.number()])?;
-            family.push(&[source.family()])?;
-            kind.push(&[scene.kind as u8])?;
-            lidar.push(&[scene.lidar_range_m])
-        };
-        let path = &self.folder;
-        scenes
-            .iter()
-            .try_for_each(&mut put)
-            .map_err(|error| DatasetError::File { path: path.clone(), error })
-    }
-
-    fn finish(self) -> Result<Vec<ArrayEntry>, DatasetError> {
-        let folder = self.folder;
-        let finish = |(writer, (name, ..)): (npy::Writer, (&str, &str, &[usize]))| {
-            let sha256 = writer.finish();
-            let fail = |error| DatasetError::File { path: folder.join(name), error };
-            Ok(ArrayEntry { file: name.to_owned(), sha256: sha256.map_err(fail)? })
-        };
-        self.writers.into_iter().zip(ARRAYS).map(finish).collect()
     }
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::mapfile;
 
 fn settings() -> Settings {
     Settings {

@@ -12,34 +12,32 @@
 
 mod baselines;
 mod card;
+mod contender;
 mod metrics;
+mod request;
+mod scores;
 mod table;
 mod view;
 
-use std::collections::BTreeMap;
-use std::path::PathBuf;
-
-use serde::Serialize;
+use std::collections::BTreeSet;
 
 pub use baselines::{Baseline, Kind as BaselineKind};
 pub use card::{ModelFacts, card};
 pub use metrics::{RELIABILITY_BINS, Reliability, Scores, Tally, clustered_interval, log_loss};
+pub use request::{Request, SceneSource, SetRequest};
+pub use scores::{Band, EdgeScores, Evaluation, RadiusScores, Scored, SetScores};
 pub use table::table;
 pub use view::{Edge, MazeLattice, Phase, View};
 
-use crate::experiment::dataset::{
-    self, DatasetError, FAMILY_MAP, HELD_OUT_FROM, MapEntry, SceneRow, Settings, Stored,
-};
+use crate::experiment::dataset::{DatasetError, SceneRow};
 use crate::predict::lattice::CROP_CELLS;
+use contender::{Contender, edge_scores, radius_scores};
 
 /// Edges are scored in discs of this radius around the frontier's pieces, metres.
 pub const EDGE_RADIUS_M: f64 = 5.0;
 
 /// Edges up to this far from the frontier are near, metres: one hallway.
 pub const EDGE_NEAR_M: f64 = 2.5;
-
-/// Distances from the frontier that are told apart, metres.
-const BANDS_M: [f64; 7] = [0.0, 0.5, 1.25, 2.5, 5.0, 7.5, f64::INFINITY];
 
 /// Anything that gives probabilities of being occupied.
 pub trait Probabilities {
@@ -103,131 +101,6 @@ pub enum EvaluateError {
     },
 }
 
-/// Scenes to score on.
-#[derive(Clone, Debug, PartialEq)]
-pub enum SceneSource {
-    /// Scenes made now.
-    Made {
-        /// How, and in which mazes.
-        settings: Settings,
-        /// Maps.
-        maps: Vec<PathBuf>,
-    },
-    /// A data set written before.
-    Stored {
-        /// Its folder.
-        folder: PathBuf,
-        /// Most scenes to take of it.
-        most: usize,
-    },
-}
-
-/// One table: scenes to score on, and scenes to fit the baselines on.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SetRequest {
-    /// The scenes' name in tables.
-    pub name: String,
-    /// What is scored.
-    pub scenes: SceneSource,
-    /// What the baselines are fitted on; the scored scenes themselves if nothing is given, which
-    /// flatters the baselines.
-    pub fit: Option<SceneSource>,
-}
-
-/// What is scored, and how.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Request {
-    /// The tables.
-    pub sets: Vec<SetRequest>,
-    /// Radii of the discs around the frontier, metres.
-    pub radii_m: Vec<f64>,
-    /// Scenes of each set to keep for pictures.
-    pub pictures: usize,
-}
-
-/// Scores within one band of distances.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Band {
-    /// From this distance on, metres.
-    pub from_m: f64,
-    /// Up to this distance, metres; absent if there is no end.
-    pub to_m: Option<f64>,
-    /// The scores.
-    #[serde(flatten)]
-    pub scores: Scores,
-}
-
-/// Scores of one predictor within one radius.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Scored {
-    /// The predictor.
-    pub name: String,
-    /// The scores.
-    #[serde(flatten)]
-    pub scores: Scores,
-    /// Half the width of the 95 % interval of the log loss, by worlds.
-    pub log_loss_ci95: Option<f64>,
-    /// By distance from the nearest frontier cell.
-    pub by_distance: Vec<Band>,
-    /// The reliability diagram.
-    pub reliability: Vec<Reliability>,
-}
-
-/// All predictors within one radius.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct RadiusScores {
-    /// The radius, metres.
-    pub radius_m: f64,
-    /// The predictors.
-    pub predictors: Vec<Scored>,
-}
-
-/// One predictor's scores on the edges of mazes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct EdgeScores {
-    /// The predictor.
-    pub name: String,
-    /// Edges near the frontier.
-    pub near: Scores,
-    /// By distance on foot.
-    pub by_distance: Vec<Band>,
-}
-
-/// The scores on one set of scenes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SetScores {
-    /// The scenes' name.
-    pub name: String,
-    /// Whether the scenes are kept from training: mazes by their seeds, data sets by their mark.
-    /// Absent for maps, whose use in training nobody can tell.
-    pub held_out: Option<bool>,
-    /// Number of scenes.
-    pub scenes: usize,
-    /// Number of worlds.
-    pub worlds: usize,
-    /// How the scenes were made.
-    pub settings: Settings,
-    /// The maps.
-    pub maps: Vec<MapEntry>,
-    /// SHA-256 of the manifest, of a data set written before.
-    pub manifest_sha256: Option<String>,
-    /// What the baselines were fitted on.
-    pub baselines_fitted_on: String,
-    /// By radius.
-    pub radii: Vec<RadiusScores>,
-    /// Of mazes: the edge metric.
-    pub edges: Vec<EdgeScores>,
-}
-
-/// All scores.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Evaluation {
-    /// The program's version.
-    pub apexd: String,
-    /// By set.
-    pub sets: Vec<SetScores>,
-}
-
 /// A scene with predictions of it, for a picture.
 pub struct Sample {
     /// Which set it is of.
@@ -256,147 +129,6 @@ pub fn evaluate(
         sets.push(evaluate_set(request, set, models, progress, &mut samples)?);
     }
     Ok((Evaluation { apexd: env!("CARGO_PKG_VERSION").to_owned(), sets }, samples))
-}
-
-/// What a source of scenes is.
-struct Origin {
-    settings: Settings,
-    maps: Vec<MapEntry>,
-    manifest_sha256: Option<String>,
-    held_out: Option<bool>,
-    text: String,
-}
-
-impl SceneSource {
-    /// Number of scenes, at most.
-    fn count(&self) -> Result<usize, EvaluateError> {
-        Ok(match self {
-            Self::Made { settings, maps } => {
-                let mazes = (settings.seeds[1] - settings.seeds[0]) as usize;
-                let maps = dataset::find_maps(maps)?.len();
-                (mazes * settings.families.len() + maps) * settings.scenes_per_world
-            }
-            Self::Stored { folder, most } => Stored::open(folder)?.manifest.scenes.min(*most),
-        })
-    }
-
-    /// The side of the scenes' cells, metres.
-    pub fn resolution_m(&self) -> Result<f64, EvaluateError> {
-        Ok(match self {
-            Self::Made { settings, .. } => settings.resolution_m,
-            Self::Stored { folder, .. } => Stored::open(folder)?.manifest.settings.resolution_m,
-        })
-    }
-
-    fn for_each(
-        &self,
-        progress: &(dyn Fn(usize, usize) + Sync),
-        take: &mut dyn FnMut(SceneRow),
-    ) -> Result<Origin, EvaluateError> {
-        match self {
-            Self::Made { settings, maps } => {
-                let entries = dataset::scenes(settings, maps, progress, take)?;
-                let [from, end] = settings.seeds;
-                let mazes = from < end;
-                let held_out = mazes.then_some(from >= HELD_OUT_FROM);
-                let held_out = if entries.is_empty() { held_out } else { None };
-                let mut text = Vec::new();
-                if mazes {
-                    let families = settings.families.join(", ");
-                    text.push(format!("{families} mazes, seeds {from}..{end}"));
-                }
-                if !entries.is_empty() {
-                    text.push(format!("{} maps", entries.len()));
-                }
-                Ok(Origin {
-                    settings: settings.clone(),
-                    maps: entries,
-                    manifest_sha256: None,
-                    held_out,
-                    text: text.join(" and "),
-                })
-            }
-            Self::Stored { folder, most } => {
-                let stored = Stored::open(folder)?;
-                let total = stored.manifest.scenes.min(*most);
-                let mut done = 0;
-                stored.scenes(*most, &mut |row| {
-                    take(row);
-                    done += 1;
-                    progress(done, total);
-                })?;
-                Ok(Origin {
-                    held_out: Some(stored.manifest.settings.held_out),
-                    settings: stored.manifest.settings,
-                    maps: stored.manifest.maps,
-                    text: format!("data set {}", &stored.manifest_sha256[..12]),
-                    manifest_sha256: Some(stored.manifest_sha256),
-                })
-            }
-        }
-    }
-}
-
-/// The tallies of one predictor.
-struct Contender {
-    name: String,
-    /// One a radius.
-    radii: Vec<RadiusTally>,
-    edges: [Tally; BANDS_M.len() - 1],
-    near: Tally,
-}
-
-#[derive(Default)]
-struct RadiusTally {
-    all: Tally,
-    bands: [Tally; BANDS_M.len() - 1],
-    worlds: BTreeMap<(u8, i64), (f64, u64)>,
-}
-
-impl Contender {
-    fn new(name: String, radii: usize) -> Self {
-        Self {
-            name,
-            radii: (0..radii).map(|_| RadiusTally::default()).collect(),
-            edges: Default::default(),
-            near: Tally::default(),
-        }
-    }
-
-    fn add_cell(
-        &mut self,
-        radius: usize,
-        world: (u8, i64),
-        from_frontier_m: f64,
-        p: f32,
-        is: bool,
-    ) {
-        let tally = &mut self.radii[radius];
-        tally.all.add(p, is);
-        tally.bands[band(from_frontier_m)].add(p, is);
-        let world = tally.worlds.entry(world).or_default();
-        *world = (world.0 + log_loss(p, is), world.1 + 1);
-    }
-
-    fn add_edge(&mut self, edge: &Edge, p: f32) {
-        self.edges[band(edge.from_frontier_m)].add(p, edge.closed);
-        if edge.from_frontier_m <= EDGE_NEAR_M {
-            self.near.add(p, edge.closed);
-        }
-    }
-}
-
-fn band(distance_m: f64) -> usize {
-    let last = BANDS_M.len() - 2;
-    (0..last).find(|k| distance_m < BANDS_M[k + 1]).unwrap_or(last)
-}
-
-fn bands(tallies: &[Tally]) -> Vec<Band> {
-    let band = |(k, tally): (usize, &Tally)| {
-        let to_m = Some(BANDS_M[k + 1]).filter(|m| m.is_finite());
-        Some(Band { from_m: BANDS_M[k], to_m, scores: tally.scores()? })
-    };
-    tallies.iter().enumerate().filter_map(band).collect()
 }
 
 /// The baselines of one set: tables fitted for each radius.
@@ -431,9 +163,7 @@ fn evaluate_set(
     let resolution_m = set.scenes.resolution_m()?;
     let fit_source = set.fit.as_ref().unwrap_or(&set.scenes);
     let mut baselines: Option<Baselines> = None;
-    let mut mazes = true;
     let fitted = fit_source.for_each(&|_, _| {}, &mut |row| {
-        mazes &= row.family != FAMILY_MAP;
         let view = View::new(&row, resolution_m);
         let cells: Vec<Vec<usize>> = radii.iter().map(|r| view.cells_within(*r, false)).collect();
         let mazes = view.maze.is_some();
@@ -454,7 +184,7 @@ fn evaluate_set(
     let sampled =
         |k: usize| (0..request.pictures).any(|i| (2 * i + 1) * count / (2 * request.pictures) == k);
     let (mut scenes, mut failure) = (0, None);
-    let mut worlds = std::collections::BTreeSet::new();
+    let mut worlds = BTreeSet::new();
     let origin = set.scenes.for_each(progress, &mut |row| {
         if failure.is_some() {
             return;
@@ -489,42 +219,6 @@ fn evaluate_set(
         radii: radius_scores(set, radii, &contenders)?,
         edges: contenders.iter().filter_map(edge_scores).collect(),
     })
-}
-
-fn radius_scores(
-    set: &SetRequest,
-    radii_m: &[f64],
-    contenders: &[Contender],
-) -> Result<Vec<RadiusScores>, EvaluateError> {
-    let scored = |radius: usize, contender: &Contender| {
-        let tally = &contender.radii[radius];
-        let clusters: Vec<(f64, u64)> = tally.worlds.values().copied().collect();
-        Some(Scored {
-            name: contender.name.clone(),
-            scores: tally.all.scores()?,
-            log_loss_ci95: clustered_interval(&clusters),
-            by_distance: bands(&tally.bands),
-            reliability: tally.all.reliability(),
-        })
-    };
-    let mut result = Vec::new();
-    for (k, radius_m) in radii_m.iter().enumerate() {
-        let predictors: Option<Vec<Scored>> = contenders.iter().map(|c| scored(k, c)).collect();
-        let Some(predictors) = predictors else {
-            return Err(EvaluateError::NothingToScore {
-                set: set.name.clone(),
-                radius_m: *radius_m,
-            });
-        };
-        result.push(RadiusScores { radius_m: *radius_m, predictors });
-    }
-    Ok(result)
-}
-
-fn edge_scores(contender: &Contender) -> Option<EdgeScores> {
-    let near = contender.near.scores()?;
-    let by_distance = bands(&contender.edges);
-    Some(EdgeScores { name: contender.name.clone(), near, by_distance })
 }
 
 /// One scene with what is to be scored of it.

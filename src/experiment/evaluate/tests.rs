@@ -1,4 +1,5 @@
 use super::*;
+use crate::experiment::dataset::{self, HELD_OUT_FROM, Settings};
 use crate::map::Cell;
 
 /// The truth, blurred: 1 becomes `sure`, 0 becomes `1 - sure`.
