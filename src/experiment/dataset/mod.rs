@@ -25,13 +25,10 @@ mod scenes;
 mod settings;
 mod stored;
 mod truth;
+mod worlds;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use maps::{find_maps, map_hash};
@@ -41,14 +38,11 @@ pub use settings::Settings;
 pub use stored::{SceneRow, Stored};
 pub use truth::{NO_TARGET, Truth};
 
-use crate::frames::Point;
-use crate::mapfile::{MapFile, MapFileError};
+use crate::mapfile::MapFileError;
 use crate::predict::lattice::CROP_CELLS;
-use crate::sim::maze::{self, Family, MazeError};
-use crate::sim::world::World;
+use crate::sim::maze::MazeError;
 use arrays::Files;
-use place::Place;
-use scenes::Surveyor;
+use worlds::Worlds;
 
 /// Mazes from this seed on are held out: no network is trained on them.
 pub const HELD_OUT_FROM: u64 = 1_000_000;
@@ -178,12 +172,6 @@ pub enum DatasetError {
     },
 }
 
-/// A world that scenes are to be taken in.
-enum Source {
-    Maze(Family, u64),
-    Map(usize),
-}
-
 /// Makes a data set in a folder; `progress` hears now and then how many scenes of how many are
 /// done.
 ///
@@ -196,16 +184,16 @@ pub fn generate(
     force: bool,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Manifest, DatasetError> {
-    let (sources, maps) = worlds(settings, map_folders)?;
+    let worlds = Worlds::new(settings, map_folders)?;
     prepare_folder(out, force)?;
 
     let mut files = Files::create(out)?;
     let mut entries: Vec<MapEntry> = Vec::new();
     let mut scenes = 0;
-    for_each_world(settings, &sources, &maps, progress, &mut |source, found, entry| {
-        scenes += found.len();
-        entries.extend(entry);
-        files.push((source.family(), source.number()), &found)
+    worlds.for_each(progress, &mut |world| {
+        scenes += world.scenes.len();
+        entries.extend(world.entry);
+        files.push((world.family, world.number), &world.scenes)
     })?;
     if scenes == 0 {
         return Err(DatasetError::NoRoom { clearance_m: settings.clearance_m });
@@ -236,13 +224,13 @@ pub fn scenes(
     progress: &(dyn Fn(usize, usize) + Sync),
     take: &mut dyn FnMut(SceneRow),
 ) -> Result<Vec<MapEntry>, DatasetError> {
-    let (sources, maps) = worlds(settings, map_folders)?;
+    let worlds = Worlds::new(settings, map_folders)?;
     let (mut count, mut entries) = (0, Vec::new());
-    for_each_world(settings, &sources, &maps, progress, &mut |source, found, entry| {
-        count += found.len();
-        entries.extend(entry);
-        for Scene { observed, truth, .. } in found {
-            let (family, source) = (source.family(), source.number());
+    worlds.for_each(progress, &mut |world| {
+        count += world.scenes.len();
+        entries.extend(world.entry);
+        let (family, source) = (world.family, world.number);
+        for Scene { observed, truth, .. } in world.scenes {
             take(SceneRow { observed, truth, family, source });
         }
         Ok(())
@@ -253,121 +241,16 @@ pub fn scenes(
     Ok(entries)
 }
 
-/// The worlds that the settings name, checked.
-fn worlds(
-    settings: &Settings,
-    map_folders: &[PathBuf],
-) -> Result<(Vec<Source>, Vec<(PathBuf, MapFile)>), DatasetError> {
-    let families = settings.check()?;
-    let maps = find_maps(map_folders)?;
-    let mut sources = Vec::new();
-    for seed in settings.seeds[0]..settings.seeds[1] {
-        sources.extend(families.iter().map(|family| Source::Maze(*family, seed)));
-    }
-    sources.extend((0..maps.len()).map(Source::Map));
-    if sources.is_empty() { Err(DatasetError::NoWorlds) } else { Ok((sources, maps)) }
-}
-
-/// Takes the scenes of all worlds on all threads, and hands them out in order.
-fn for_each_world(
-    settings: &Settings,
-    sources: &[Source],
-    maps: &[(PathBuf, MapFile)],
-    progress: &(dyn Fn(usize, usize) + Sync),
-    take: &mut dyn FnMut(&Source, Vec<Scene>, Option<MapEntry>) -> Result<(), DatasetError>,
-) -> Result<(), DatasetError> {
-    let total = sources.len() * settings.scenes_per_world;
-    let done = AtomicUsize::new(0);
-    // A hundred or two megabytes at a time.
-    let batch = (8192 / settings.scenes_per_world).clamp(2, 256);
-    for batch in sources.chunks(batch) {
-        let made: Result<Vec<_>, DatasetError> = batch
-            .par_iter()
-            .map(|source| {
-                let (found, entry) = survey(settings, source, maps)?;
-                let made = settings.scenes_per_world;
-                progress(done.fetch_add(made, Ordering::Relaxed) + made, total);
-                Ok((source, found, entry))
-            })
-            .collect();
-        for (source, found, entry) in made? {
-            take(source, found, entry)?;
-        }
-    }
-    Ok(())
-}
-
 fn prepare_folder(out: &Path, force: bool) -> Result<(), DatasetError> {
     let fail = |error| DatasetError::File { path: out.to_owned(), error };
     std::fs::create_dir_all(out).map_err(fail)?;
     if !force && std::fs::read_dir(out).map_err(fail)?.next().is_some() {
         return Err(DatasetError::NotEmpty { path: out.to_owned() });
     }
-    Ok(())
-}
-
-/// The scenes of one world, and its entry if it is a map.
-fn survey(
-    settings: &Settings,
-    source: &Source,
-    maps: &[(PathBuf, MapFile)],
-) -> Result<(Vec<Scene>, Option<MapEntry>), DatasetError> {
-    let mut rng = ChaCha8Rng::seed_from_u64(settings.seed);
-    rng.set_stream(u64::from(source.family()) << 48 | source.number() as u64);
-    let on_lattice = settings.world_resolution_m == settings.resolution_m;
-    let place = |map: &MapFile, inside: Option<Point>| {
-        Place::new(map, settings.resolution_m, settings.clearance_m, inside)
-    };
-    let mut place = match source {
-        Source::Maze(family, seed) => {
-            let maze = maze::generate(*family, *seed, settings.world_resolution_m)?;
-            place(&maze.to_map_file(), Some(maze.start.position))
-        }
-        Source::Map(k) => {
-            let map = &maps[*k].1;
-            if on_lattice {
-                let coarse = Truth::new(map, &World::from_map(map), settings.resolution_m);
-                place(&coarse.to_map(), None)
-            } else {
-                place(map, None)
-            }
-        }
-    };
-    let map_resolution_m = if on_lattice {
-        settings.resolution_m
-    } else {
-        crate::map::MapParams::default().resolution_m
-    };
-    let scenes = place.as_mut().map_or_else(Vec::new, |place| {
-        Surveyor::new(settings, map_resolution_m).survey(place, settings.scenes_per_world, &mut rng)
-    });
-    let entry = match source {
-        Source::Maze(..) => None,
-        Source::Map(k) => {
-            let (file, map) = &maps[*k];
-            let file = file.display().to_string();
-            if scenes.is_empty() {
-                tracing::warn!(file, "no car fits into this map, it is left out");
-            }
-            Some(MapEntry { file, sha256: map_hash(map), scenes: scenes.len() })
-        }
-    };
-    Ok((scenes, entry))
-}
-
-impl Source {
-    const fn family(&self) -> u8 {
-        match self {
-            Self::Maze(family, _) => *family as u8,
-            Self::Map(_) => FAMILY_MAP,
-        }
-    }
-
-    const fn number(&self) -> i64 {
-        match self {
-            Self::Maze(_, seed) => *seed as i64,
-            Self::Map(k) => *k as i64,
-        }
+    // The manifest comes last: without one, a data set is not finished.
+    match std::fs::remove_file(out.join("manifest.json")) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(fail(error)),
+        _ => Ok(()),
     }
 }
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::mapfile;
+use crate::mapfile::{self, MapFile};
 
 fn settings() -> Settings {
     Settings {

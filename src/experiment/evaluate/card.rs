@@ -91,7 +91,7 @@ fn of_set(set: &SetScores, others: &[String]) -> String {
         let _ = writeln!(
             text,
             "| predictor | log loss | accuracy | AUC | ECE | log loss by distance:{}",
-            bands.concat().replacen(' ', " ", 1)
+            bands.concat()
         );
         let _ = writeln!(text, "|---|---|---|---|---|{}", "---|".repeat(bands.len()));
         for scored in radius.predictors.iter().filter(|p| shown(&p.name)) {
