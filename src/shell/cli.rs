@@ -6,7 +6,6 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::configuration::Flag;
-use super::shown;
 use super::sil::{SilRequest, WorldSource};
 use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
 use crate::experiment::evaluate::{Request, SceneSource, SetRequest};
@@ -389,7 +388,7 @@ impl EvaluateArgs {
             })
             .collect();
         sets.extend(self.maps.iter().map(|folder| SetRequest {
-            name: format!("maps {}", shown(folder)),
+            name: format!("maps {}", last_name(folder)),
             scenes: made(&[], [0, 0], std::slice::from_ref(folder)),
             fit: (!self.fit_maps.is_empty()).then(|| made(&[], [0, 0], &self.fit_maps)),
         }));
@@ -403,10 +402,15 @@ impl EvaluateArgs {
                 Some(folder) => Some(stored(folder)),
                 None => scenes.alike(self.fit_seeds),
             };
-            SetRequest { name: format!("data set {}", shown(folder)), scenes, fit }
+            SetRequest { name: format!("data set {}", last_name(folder)), scenes, fit }
         }));
         Request { sets, radii_m: self.radius.clone(), pictures: self.pictures }
     }
+}
+
+/// The last part of a path, without the extension of a file.
+fn last_name(path: &Path) -> String {
+    path.file_stem().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into())
 }
 
 /// Options of `apexd params`.

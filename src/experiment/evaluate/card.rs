@@ -135,7 +135,9 @@ fn of_set(set: &SetScores, others: &[String]) -> String {
     if !set.maps.is_empty() {
         let _ = writeln!(text, "\n| map | scenes | SHA-256 of its cells |\n|---|---|---|");
         for map in &set.maps {
-            let _ = writeln!(text, "| {} | {} | `{}` |", map.file, map.scenes, map.sha256);
+            // Where the file lay is nobody's business.
+            let name = map.file.rsplit(['/', '\\']).next().unwrap_or_default();
+            let _ = writeln!(text, "| {name} | {} | `{}` |", map.scenes, map.sha256);
         }
     }
     text

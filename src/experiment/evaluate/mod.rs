@@ -44,6 +44,11 @@ pub trait Probabilities {
     /// The name in tables.
     fn name(&self) -> String;
 
+    /// Side of the coarse cells that it is made for, metres; `None` if it takes any.
+    fn resolution_m(&self) -> Option<f64> {
+        None
+    }
+
     /// Writes for each cell (its offset on the scene's crop) the probability that it is occupied.
     /// Asked once a scene.
     fn probabilities(
@@ -161,6 +166,12 @@ fn evaluate_set(
 ) -> Result<SetScores, EvaluateError> {
     let radii = &request.radii_m;
     let resolution_m = set.scenes.resolution_m()?;
+    for model in models.iter() {
+        if let Some(wanted_m) = model.resolution_m().filter(|m| (m - resolution_m).abs() > 1e-9) {
+            let (set, name) = (set.name.clone(), model.name());
+            return Err(EvaluateError::Resolution { set, resolution_m, name, wanted_m });
+        }
+    }
     let fit_source = set.fit.as_ref().unwrap_or(&set.scenes);
     let mut baselines: Option<Baselines> = None;
     let fitted = fit_source.for_each(&|_, _| {}, &mut |row| {

@@ -164,7 +164,7 @@ fn legend(svg: &mut Svg, [mut x, y]: [f64; 2]) {
         (grey(0.0), "free", 58.0),
         (grey(0.5), "even", 62.0),
         (grey(1.0), "occupied", 90.0),
-        (NOT_ASKED, "not asked", 80.0),
+        (NOT_ASKED, "not asked, or nobody knows", 80.0),
     ];
     for (colour, name, width) in entries {
         swatch(svg, x, colour.hex());
