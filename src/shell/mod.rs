@@ -4,6 +4,7 @@
 pub mod cli;
 mod configuration;
 mod dataset;
+mod evaluate;
 mod folder;
 mod pace;
 mod progress;
@@ -65,6 +66,7 @@ fn execute(
         Command::Sil(args) => drive(args, environment, simulator, terminal, out),
         Command::Maze(args) => maze(args, simulator, out),
         Command::Dataset(args) => dataset::run(args, terminal, out),
+        Command::Evaluate(args) => evaluate::run(args, terminal, out),
         Command::Params(args) => params(*args, out),
         Command::Check(args) => check(args, out),
     }

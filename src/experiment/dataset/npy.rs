@@ -1,7 +1,7 @@
 //! Arrays in the files of numpy (NEP 1, format version 1.0), written row by row.
 
 use std::fs::File;
-use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
@@ -43,14 +43,14 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Begins a file of rows of `shape`.
-    pub fn create<T: Element>(path: &Path, shape: &[usize]) -> std::io::Result<Self> {
+    /// Begins a file of rows of `shape`, of elements with numpy's name `descr`.
+    pub fn create(path: &Path, descr: &'static str, shape: &[usize]) -> std::io::Result<Self> {
         let mut file = BufWriter::with_capacity(1 << 20, File::create(path)?);
-        file.write_all(&header(T::DESCR, 0, shape))?;
+        file.write_all(&header(descr, 0, shape))?;
         Ok(Self {
             path: path.to_owned(),
             file,
-            descr: T::DESCR,
+            descr,
             shape: shape.to_vec(),
             rows: 0,
             bytes: Vec::new(),
@@ -97,6 +97,71 @@ fn header(descr: &str, rows: usize, shape: &[usize]) -> Vec<u8> {
     bytes
 }
 
+/// An array file being read row by row.
+pub struct Reader {
+    file: BufReader<File>,
+    rows: usize,
+    row_bytes: usize,
+}
+
+impl Reader {
+    /// Opens a file that must hold rows of `shape` of elements with numpy's name `descr`.
+    ///
+    /// # Errors
+    /// In words, what is wrong.
+    pub fn open(path: &Path, descr: &str, shape: &[usize]) -> Result<Self, String> {
+        let said = |error: std::io::Error| error.to_string();
+        let mut file = BufReader::with_capacity(1 << 20, File::open(path).map_err(said)?);
+        let mut start = [0; 10];
+        file.read_exact(&mut start).map_err(|_| "too short for an array of numpy".to_owned())?;
+        if &start[..8] != b"\x93NUMPY\x01\x00" {
+            return Err("not an array of numpy (format 1.0)".into());
+        }
+        let mut text = vec![0; usize::from(u16::from_le_bytes([start[8], start[9]]))];
+        file.read_exact(&mut text).map_err(|_| "its header is cut off".to_owned())?;
+        let text = String::from_utf8_lossy(&text).into_owned();
+        let (rows, rest) = text
+            .split_once("'shape': (")
+            .and_then(|(_, rest)| rest.split_once(','))
+            .and_then(|(rows, rest)| Some((rows.trim().parse::<usize>().ok()?, rest)))
+            .ok_or_else(|| format!("its header has no shape: {text}"))?;
+        let axes = rest.split_once(')').map_or("", |(axes, _)| axes);
+        let axes = axes.split(',').map(str::trim).filter(|a| !a.is_empty()).map(str::parse);
+        let axes: Result<Vec<usize>, _> = axes.collect();
+        let fits = text.contains(&format!("'descr': '{descr}'"))
+            && text.contains("'fortran_order': False")
+            && axes.as_deref() == Ok(shape);
+        if !fits {
+            return Err(format!("it should hold rows of {shape:?} of type {descr}: {text}"));
+        }
+        let element: usize = descr[2..].parse().expect("a type's name ends in its size");
+        let row_bytes = shape.iter().product::<usize>() * element;
+        let header_bytes = 10 + text.len() as u64;
+        let bytes = file.get_ref().metadata().map_err(said)?.len();
+        if bytes != header_bytes + (rows * row_bytes) as u64 {
+            return Err(format!("{bytes} bytes are too few or too many for {rows} rows"));
+        }
+        Ok(Self { file, rows, row_bytes })
+    }
+
+    /// Number of rows.
+    pub const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// The bytes of the next row.
+    pub fn next_row(&mut self) -> std::io::Result<Vec<u8>> {
+        let mut row = vec![0; self.row_bytes];
+        self.file.read_exact(&mut row)?;
+        Ok(row)
+    }
+
+    /// Passes over some rows.
+    pub fn skip_rows(&mut self, rows: usize) -> std::io::Result<()> {
+        self.file.seek_relative((rows * self.row_bytes) as i64)
+    }
+}
+
 /// SHA-256 of a file in hexadecimal.
 pub fn sha256_of_file(path: &Path) -> std::io::Result<String> {
     let mut file = File::open(path)?;
@@ -128,7 +193,7 @@ mod tests {
     fn a_file_is_what_numpy_writes() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.npy");
-        let mut writer = Writer::create::<f32>(&path, &[2]).unwrap();
+        let mut writer = Writer::create(&path, f32::DESCR, &[2]).unwrap();
         writer.push(&[1.0_f32, -0.5]).unwrap();
         writer.push(&[f32::NAN, 3.0]).unwrap();
         let sum = writer.finish().unwrap();

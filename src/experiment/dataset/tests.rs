@@ -1,4 +1,5 @@
 use super::*;
+use crate::mapfile::{self, MapFile};
 
 fn settings() -> Settings {
     Settings {

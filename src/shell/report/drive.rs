@@ -94,7 +94,7 @@ fn known_cells(grid: &Grid) -> CellRect {
 }
 
 /// A colour for every cell of a rectangle, as an embedded picture.
-fn cell_layer(
+pub(super) fn cell_layer(
     svg: &mut Svg,
     frame: &Frame,
     cells: CellRect,

@@ -7,6 +7,7 @@
 mod axes;
 mod colour;
 mod drive;
+mod evaluation;
 mod outline;
 mod raster;
 mod speed;
@@ -14,6 +15,7 @@ mod svg;
 
 use std::path::{Path, PathBuf};
 
+pub use evaluation::write_evaluation;
 pub use outline::outline;
 
 use crate::frames::{Point, Pose};
