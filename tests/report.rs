@@ -108,6 +108,7 @@ fn made_up_drive(outcome: Outcome) -> DriveRecord {
         trace,
         grid,
         truth: outline(rows[1], rows[1], solid, |p| Point::from(p.coords * RESOLUTION_M)),
+        snapshot: None,
         start: Pose::new(2.5, 1.25, 0.0),
         goal: centre_line(end).0,
         goal_radius_m: 0.5,

@@ -4,6 +4,7 @@
 //! `plan::certify` have no access to it.
 
 mod cnp;
+mod crop_network;
 mod document;
 mod fault;
 pub mod lattice;
@@ -19,6 +20,7 @@ mod test_networks;
 mod trust;
 
 pub use cnp::CnpPredictor;
+pub use crop_network::CropNetwork;
 pub use fault::PredictFault;
 pub use metadata::Metadata;
 pub use model_error::ModelError;
