@@ -15,6 +15,7 @@ use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
     clear_length_m, last_escapable, last_turnable,
 };
+use super::foreseen::{Foreseen, ForeseenParams, ShapeField};
 use super::impasse::Impasses;
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
@@ -65,6 +66,10 @@ tunables! {
         /// Clearance granted to the path's shape beside unknown space, beyond what the certificate
         /// asks for; the certificate then ends the executable part before it.
         unknown_room_m: f64 = 0.3, live, in 0.0..=2.0, "m";
+        /// Kept from walls in the path's shape beyond what the certificate asks for, where there is
+        /// room: a car farther from a corner looks round it earlier, and need not slow down for what
+        /// it cannot see yet. Not with the policy `known-map`.
+        wall_room_m: f64 = 0.1, live, in 0.0..=1.0, "m";
         /// What a stop must leave room for.
         stop_rule: StopRule = StopRule::TurnRound, live, one of;
         /// Plans end this far inside the goal disc.
@@ -89,6 +94,8 @@ pub struct PlannerParams {
     pub speed: SpeedParams,
     /// Certificate.
     pub certify: CertifyParams,
+    /// What of a prediction shapes rely on.
+    pub foreseen: ForeseenParams,
 }
 
 /// Reads the wall clock, for statistics only; a constant makes the planner a pure function.
@@ -112,6 +119,10 @@ const PLENTY_M: f64 = 8.0;
 /// Shapes keep this much more clearance than the certificate asks for: it measures chords and their
 /// bulge where smoothing looks at samples.
 const SHAPE_SLACK_M: f64 = 0.005;
+/// How often a guide is sought anew because obstacles are foreseen in its way.
+const GUIDES_MAX: usize = 4;
+/// A shape ends no nearer than this where nothing is known or foreseen, metres.
+const FORESEEN_LEAST_M: f64 = 4.0;
 /// A plan whose executable part is shorter than this is no progress.
 pub const SHORTEST_PLAN_M: f64 = 0.02;
 
@@ -122,6 +133,7 @@ pub struct Planner {
     clock: Stopwatch,
     occupied: DistanceField,
     blocked: DistanceField,
+    foreseen: Foreseen,
     lethal: Vec<bool>,
     tight: Vec<bool>,
     impasses: Impasses,
@@ -131,23 +143,6 @@ pub struct Planner {
     smoother: Smoother,
     profiler: SpeedProfiler,
     first: bool,
-}
-
-/// Clearance to occupied cells, and to unknown ones as far as that leaves some room.
-struct ShapeField<'a> {
-    occupied: Clearance<'a>,
-    blocked: Clearance<'a>,
-    unknown_floor_m: f64,
-}
-
-impl ClearanceField for ShapeField<'_> {
-    fn clearance_m(&self, p: Point) -> f64 {
-        let blocked = self.blocked.at(p);
-        if blocked >= self.unknown_floor_m {
-            return blocked;
-        }
-        self.occupied.at(p).min(self.unknown_floor_m)
-    }
 }
 
 impl Planning for Planner {
@@ -179,6 +174,7 @@ impl Planner {
             clock,
             occupied: DistanceField::new(Blocking::Occupied, FIELD_CAP_M),
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, FIELD_CAP_M),
+            foreseen: Foreseen::new(FIELD_CAP_M),
             lethal: Vec::new(),
             tight: Vec::new(),
             impasses: Impasses::default(),
@@ -233,10 +229,10 @@ impl Planner {
         if self.nearly_there(request, &here) {
             return Verdict::Keep;
         }
-        let mut found = self.guide(request, &here, times);
+        let mut found = self.guide_foreseen(request, &here, times);
         if found.is_err() && self.impasses.give_up(here.point.position) {
             self.set_masks(request);
-            found = self.guide(request, &here, times);
+            found = self.guide_foreseen(request, &here, times);
         }
         let guide = match found {
             Ok(guide) => guide,
@@ -337,6 +333,7 @@ impl Planner {
     fn update_fields(&mut self, request: &PlanRequest) {
         let changed = if self.first { request.grid.bounds() } else { request.changed };
         self.first = false;
+        self.foreseen.begin(&request.grid, changed);
         self.occupied.update(&request.grid, changed);
         self.blocked.update(&request.grid, changed);
         self.set_masks(request);
@@ -386,6 +383,57 @@ impl Planner {
             branches.push(at(stop.path.s_m, 0.0));
         }
         branches
+    }
+
+    /// Takes in what is foreseen beside a way.
+    fn look_beside(&mut self, way: impl Iterator<Item = Point>, times: &mut StepTimes) {
+        let mut lap = Lap::new(&self.clock);
+        let predicted = self.predictor.spent();
+        let mut view = self.predictor.view(&self.clock);
+        let horizon_m = self.params.smooth.horizon_m;
+        self.foreseen.look(&self.params.foreseen, way, horizon_m, &mut view);
+        let predicted = self.predictor.spent().saturating_sub(predicted);
+        times.field += lap.take(&self.clock).saturating_sub(predicted);
+    }
+
+    /// The guide from where the new plan takes over. If there is one, it keeps its distance from
+    /// obstacles that are foreseen beside it, as its shape will have to.
+    fn guide_foreseen(
+        &mut self,
+        request: &PlanRequest,
+        branch: &Branch,
+        times: &mut StepTimes,
+    ) -> Result<Guide, GuideFailure> {
+        if self.params.plan.policy != Policy::MapPredictive {
+            return self.guide(request, branch, times);
+        }
+        let least = (self.keep_m() + 0.5 * request.grid.resolution_m()) as f32;
+        let known = std::mem::take(&mut self.lethal);
+        let plan = &request.committed;
+        let under_way = plan.trajectory.points.iter().map(|p| p.path);
+        let under_way = under_way.chain(plan.beyond.points.iter().copied());
+        let ahead = under_way.skip_while(|p| p.s_m < branch.s_m).map(|p| p.position);
+        self.look_beside(ahead, times);
+        let mut found = None;
+        for _ in 0..GUIDES_MAX {
+            self.lethal.clone_from(&known);
+            self.foreseen.mask(&request.grid, least, &mut self.lethal);
+            let Ok(guide) = self.guide(request, branch, times) else { break };
+            self.look_beside(guide.points.iter().copied(), times);
+            let walls = self.foreseen.occupied();
+            let keep_m = self.keep_m();
+            let fits =
+                guide.points.iter().skip(1).all(|p| walls.at_up_to(*p, keep_m) >= 0.8 * keep_m);
+            if fits || self.foreseen.is_silent() {
+                found = Some(guide);
+                break;
+            }
+        }
+        self.lethal = known;
+        match found {
+            Some(guide) => Ok(guide),
+            None => self.guide(request, branch, times),
+        }
     }
 
     fn guide(
@@ -449,7 +497,9 @@ impl Planner {
         let field = ShapeField {
             occupied: Clearance::new(grid, &self.occupied),
             blocked: Clearance::new(grid, &self.blocked),
-            unknown_floor_m: keep_m + self.params.plan.unknown_room_m,
+            keep_m,
+            unknown_room_m: self.params.plan.unknown_room_m,
+            wall_room_m: 0.0,
         };
         for p in guide.points.iter_mut().skip(1) {
             let clearance_m = field.clearance_m(*p);
@@ -623,16 +673,23 @@ impl Planner {
     ) -> Result<Candidate, Rejection> {
         let mut lap = Lap::new(&self.clock);
         let keep_m = self.keep_m() + SHAPE_SLACK_M;
-        let field = ShapeField {
-            occupied: Clearance::new(&request.grid, &self.occupied),
-            blocked: Clearance::new(&request.grid, &self.blocked),
-            unknown_floor_m: keep_m + self.params.plan.unknown_room_m,
-        };
         let vehicle = &self.params.vehicle;
         // A car that stands may turn its wheels before it goes; what is joined to the committed path
         // must continue its curvature.
         let takes_over_m = request.committed.trajectory.at(request.takes_over).path.s_m;
         let moving = branch.speed_mps > 0.0 || branch.s_m > takes_over_m;
+        let mut smooth = self.params.smooth.clone();
+        if !self.foreseen.is_silent() {
+            // Beyond what is foreseen the guide keeps no distance from anything.
+            let mut along_m = 0.0;
+            let open = way.points.windows(2).find(|pair| {
+                along_m += (pair[1] - pair[0]).norm();
+                along_m > FORESEEN_LEAST_M && self.foreseen.is_open(pair[1])
+            });
+            if open.is_some() {
+                smooth.horizon_m = smooth.horizon_m.min(along_m);
+            }
+        }
         let end_radius_m = if way.reaches_goal {
             (request.goal.radius_m - self.params.plan.goal_depth_m).max(0.0)
         } else {
@@ -646,24 +703,38 @@ impl Planner {
                 ahead.map(|p| (p.s_m - branch.s_m, p.curvature_pm)).collect()
             }
         };
-        let smoothed = self.smoother.smooth(
-            &self.params.smooth,
-            &field,
-            &SmoothRequest {
-                guide: &way.points,
-                warm: way.warm,
-                start: branch.pose(),
-                start_curvature_pm: moving.then_some(branch.point.curvature_pm),
-                held: &held,
-                start_speed_mps: branch.speed_mps,
-                end_radius_m,
-                radius_m: keep_m,
-                curvature_limit_pm: vehicle.curvature_limit_pm(),
-                acceleration_limit_mps2: self.params.speed.friction_use
-                    * vehicle.acceleration_limit_mps2(),
-                speed_max_mps: self.params.speed.speed_max_mps,
-            },
-        );
+        let task = SmoothRequest {
+            guide: &way.points,
+            warm: way.warm,
+            start: branch.pose(),
+            start_curvature_pm: moving.then_some(branch.point.curvature_pm),
+            held: &held,
+            start_speed_mps: branch.speed_mps,
+            end_radius_m,
+            radius_m: keep_m,
+            curvature_limit_pm: vehicle.curvature_limit_pm(),
+            acceleration_limit_mps2: self.params.speed.friction_use
+                * vehicle.acceleration_limit_mps2(),
+            speed_max_mps: self.params.speed.speed_max_mps,
+        };
+        let known_map = self.params.plan.policy == Policy::KnownMap;
+        let field = |occupied, blocked| ShapeField {
+            occupied,
+            blocked,
+            keep_m,
+            unknown_room_m: self.params.plan.unknown_room_m,
+            wall_room_m: if known_map { 0.0 } else { self.params.plan.wall_room_m },
+        };
+        let foreseen = field(self.foreseen.occupied(), self.foreseen.blocked());
+        let mut smoothed = self.smoother.smooth(&smooth, &foreseen, &task);
+        if smoothed.is_err() && !self.foreseen.is_silent() {
+            // What is foreseen may be wrong.
+            let known = field(
+                Clearance::new(&request.grid, &self.occupied),
+                Clearance::new(&request.grid, &self.blocked),
+            );
+            smoothed = self.smoother.smooth(&self.params.smooth, &known, &task);
+        }
         let (mut path, complete) = match (smoothed, way.manoeuvre) {
             (Ok(smoothed), _) => (smoothed.path, smoothed.complete),
             // The manoeuvre can be driven as it is.

@@ -78,7 +78,8 @@ pub struct Scene<'a> {
 ///
 /// Once per step [`observe`](Self::observe) takes in the scene (a model encodes it there); the
 /// planner then asks the predictor, as an [`OccupancyView`], for the points that its search comes
-/// across, some tens at a time and none twice in a step (a model decodes them there).
+/// across, some tens at a time, and for those beside the way, some hundreds at a time (a model
+/// decodes them there, and remembers them for the step).
 pub trait Predictor: OccupancyView + Send {
     /// Takes in the newest scene. Later questions are about it.
     fn observe(&mut self, scene: &Scene<'_>);

@@ -159,6 +159,7 @@ fn planner_params(params: &Params) -> PlannerParams {
         smooth: params.smooth.clone(),
         speed: params.speed.clone(),
         certify: params.certify.clone(),
+        foreseen: params.foreseen.clone(),
     }
 }
 
