@@ -66,9 +66,9 @@ tunables! {
         /// Clearance granted to the path's shape beside unknown space, beyond what the certificate
         /// asks for; the certificate then ends the executable part before it.
         unknown_room_m: f64 = 0.3, live, in 0.0..=2.0, "m";
-        /// Kept from walls in the path's shape beyond what the certificate asks for, where there is
-        /// room: a car farther from a corner looks round it earlier, and need not slow down for what
-        /// it cannot see yet. Not with the policy `known-map`.
+        /// Kept from walls, where there is room, in the path's shape through space that is foreseen,
+        /// beyond what the certificate asks for: a car farther from a corner looks round it earlier,
+        /// and need not slow down for what it cannot see yet.
         wall_room_m: f64 = 0.1, live, in 0.0..=1.0, "m";
         /// What a stop must leave room for.
         stop_rule: StopRule = StopRule::TurnRound, live, one of;
@@ -717,21 +717,24 @@ impl Planner {
                 * vehicle.acceleration_limit_mps2(),
             speed_max_mps: self.params.speed.speed_max_mps,
         };
-        let known_map = self.params.plan.policy == Policy::KnownMap;
-        let field = |occupied, blocked| ShapeField {
+        let field = |occupied, blocked, wall_room_m| ShapeField {
             occupied,
             blocked,
             keep_m,
             unknown_room_m: self.params.plan.unknown_room_m,
-            wall_room_m: if known_map { 0.0 } else { self.params.plan.wall_room_m },
+            wall_room_m,
         };
-        let foreseen = field(self.foreseen.occupied(), self.foreseen.blocked());
+        // Where nothing is foreseen, what lies behind a corner keeps shapes off it already.
+        let silent = self.foreseen.is_silent();
+        let wall_room_m = if silent { 0.0 } else { self.params.plan.wall_room_m };
+        let foreseen = field(self.foreseen.occupied(), self.foreseen.blocked(), wall_room_m);
         let mut smoothed = self.smoother.smooth(&smooth, &foreseen, &task);
-        if smoothed.is_err() && !self.foreseen.is_silent() {
+        if smoothed.is_err() && !silent {
             // What is foreseen may be wrong.
             let known = field(
                 Clearance::new(&request.grid, &self.occupied),
                 Clearance::new(&request.grid, &self.blocked),
+                0.0,
             );
             smoothed = self.smoother.smooth(&self.params.smooth, &known, &task);
         }
