@@ -69,6 +69,10 @@ fn maze() -> Maze {
     generate(Family::Thin, 1_000_003, 0.1).expect("0.1 m divides the hallway")
 }
 
+fn nothing() -> PredictParams {
+    PredictParams { kind: PredictorKind::None, ..PredictParams::default() }
+}
+
 fn setup(predict: PredictParams, limit_s: f64) -> RigSetup {
     let maze = maze();
     RigSetup {
@@ -117,7 +121,7 @@ fn a_drive_without_its_network_goes_on_and_says_so() {
     assert!(rig.core().faults().contains(Fault::NoPrediction));
     let summary = rig.summary(0.0);
     assert_eq!(summary.prediction_faults, 3);
-    let mut none = Rig::new(setup(PredictParams::default(), 6.0)).unwrap();
+    let mut none = Rig::new(setup(nothing(), 6.0)).unwrap();
     drive(&mut none);
     assert_eq!(summary.digest, none.summary(0.0).digest, "it drives as without prediction");
     assert!(!none.core().faults().contains(Fault::NoPrediction));
@@ -167,7 +171,7 @@ fn a_predictor_that_takes_a_second_holds_up_one_plan_and_no_more() {
         latency: Latency::Measured,
         stopwatch: clock.stopwatch(),
         planning: Some(planning),
-        ..setup(PredictParams::default(), 12.0)
+        ..setup(nothing(), 12.0)
     })
     .unwrap();
     let (_, faults) = drive(&mut rig);
