@@ -12,6 +12,7 @@
 pub mod autopilot;
 pub mod command;
 pub mod control;
+pub mod experiment;
 pub mod frames;
 pub mod guard;
 pub mod localize;

@@ -286,7 +286,7 @@ fn every_command_helps() {
     let folder = folder();
     let help = apexd(folder.path(), &["--help"]);
     assert_eq!(help.code, 0);
-    for command in ["sil", "maze", "params", "check"] {
+    for command in ["sil", "maze", "dataset", "evaluate", "params", "check"] {
         assert!(help.out.contains(command), "{}", help.out);
         let ran = apexd(folder.path(), &[command, "--help"]);
         assert_eq!((ran.code, ran.err.as_str()), (0, ""), "{command}");
@@ -396,4 +396,49 @@ fn a_drive_that_is_told_to_end_stops_the_car_and_reports() {
         assert_eq!(ran.json()["collisions"], 0);
         assert!(folder.path().join(signal).join("drive.png").exists());
     }
+}
+
+#[test]
+fn a_data_set_is_written_and_scored() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = ["--world-resolution", "0.25", "--lidar-range", "5", "--beams", "720"];
+    let small = ["--scenes-per-world", "3"];
+    let dataset = |out: &str, more: &[&str]| {
+        let start = ["dataset", "--out", out];
+        apexd(folder.path(), &[&start[..], &scenes, &small, more].concat())
+    };
+    let held_out = ["--families", "thin,solid", "--seeds", "1000000..1000002", "--held-out"];
+    let made = dataset("test", &[&held_out[..], &["--json"]].concat());
+    assert_eq!(made.code, 0, "{}", made.err);
+    let manifest = made.json();
+    assert_eq!((&manifest["scenes"], &manifest["held_out"]), (&12.into(), &true.into()));
+    assert_eq!(manifest["arrays"].as_array().unwrap().len(), 8);
+
+    dataset("test", &held_out).refused(2, &["test is not empty", "--force"]);
+    dataset("x", &held_out[..4]).refused(2, &["1000000 to 1000001", "held out", "--held-out"]);
+    dataset("x", &["--seeds", "5..7", "--held-out"]).refused(2, &["--held-out", "is 5"]);
+    dataset("x", &[]).refused(2, &["--seeds", "--maps"]);
+    dataset("x", &["--maps", "nowhere"]).refused(1, &["nowhere"]);
+    assert!(!folder.path().join("x").exists());
+
+    let evaluate = |more: &[&str]| apexd(folder.path(), &[&["evaluate"], more].concat());
+    let fit = ["--fit-seeds", "0..2"];
+    let set = ["--dataset", "test", "--out", "scores", "--pictures", "1", "--json"];
+    let scored = evaluate(&[&set[..], &fit].concat());
+    assert_eq!(scored.code, 0, "{}", scored.err);
+    let scores = scored.json();
+    let set = &scores["sets"][0];
+    assert_eq!((&set["scenes"], &set["held_out"]), (&12.into(), &true.into()));
+    assert_eq!(set["radii"][1]["radius_m"], 5.0);
+    assert!(set["radii"][0]["predictors"][0]["log_loss"].as_f64().unwrap() > 0.0);
+    for file in ["evaluation.json", "reliability-data-set-test.svg", "scene-data-set-test-0.png"] {
+        assert!(folder.path().join("scores").join(file).exists(), "{file}");
+    }
+    let table =
+        evaluate(&[&["--family", "solid", "--seeds", "7..9"], &scenes[..], &small, &fit].concat());
+    assert_eq!(table.code, 0, "{}", table.err);
+    assert!(table.out.contains("NOT held out") && table.out.contains("lattice oracle"));
+
+    evaluate(&[]).refused(2, &["--family", "--maps", "--dataset"]);
+    evaluate(&["--dataset", "scores"]).refused(1, &["manifest.json"]);
 }

@@ -1,12 +1,14 @@
 //! The command line's grammar.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::configuration::Flag;
 use super::sil::{SilRequest, WorldSource};
+use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
+use crate::experiment::evaluate::{Request, SceneSource, SetRequest};
 use crate::frames::{Point, Pose};
 use crate::params::Params;
 use crate::plan::Policy;
@@ -37,6 +39,10 @@ pub enum Command {
     Sil(Box<SilArgs>),
     /// Write a maze as ROS map_server files.
     Maze(MazeArgs),
+    /// Make training or held-out data for the predictor.
+    Dataset(Box<DatasetArgs>),
+    /// Score what predicts occupancy, on scenes that it has not seen.
+    Evaluate(Box<EvaluateArgs>),
     /// Print the table of parameters.
     Params(ParamsArgs),
     /// Say what is wrong with a configuration file.
@@ -89,10 +95,17 @@ pub struct SilArgs {
     /// How to plan [parameter plan.policy].
     #[arg(long, value_parser = policy(), help_heading = "Planning")]
     pub policy: Option<Policy>,
-    /// What the planner is told about space that it has not seen; none of them can make a drive
-    /// unsafe [parameter predict.kind].
-    #[arg(long, value_parser = predictor(), help_heading = "Planning")]
-    pub predictor: Option<PredictorKind>,
+    /// What the planner is told about space that it has not seen: `cnp` (the trained network that
+    /// ships), `oracle` (the truth), `none`, `random`, `inverted` (the opposite of the truth), or a
+    /// network of your own. None of them can make a drive unsafe [parameters predict.kind,
+    /// predict.model].
+    #[arg(
+        long,
+        value_name = "NAME|FILE.onnx",
+        value_parser = predictor,
+        help_heading = "Planning"
+    )]
+    pub predictor: Option<PredictorChoice>,
     /// Largest speed, m/s [parameter speed.speed_max_mps].
     #[arg(long, value_name = "M/S", value_parser = positive, help_heading = "Planning")]
     pub speed_max: Option<f64>,
@@ -124,6 +137,11 @@ pub struct SilArgs {
     #[arg(long, help_heading = "Simulation")]
     pub realtime: bool,
 
+    /// Draw what the planner foresaw this many seconds after the first motion. If not given, halfway
+    /// through the drive.
+    #[arg(long, value_name = "SECONDS", value_parser = not_negative, help_heading = "Output")]
+    pub snapshot: Option<f64>,
+
     /// Configuration file (TOML) over the built-in defaults.
     #[arg(long, value_name = "FILE", help_heading = "Configuration")]
     pub config: Option<PathBuf>,
@@ -147,10 +165,21 @@ pub struct SilArgs {
 impl SilArgs {
     /// The parameters that have options of their own, as far as they are given.
     pub(super) fn flags(&self) -> Vec<Flag> {
-        let choices = [
-            ("--policy", "plan.policy", self.policy.map(|policy| policy.to_value())),
-            ("--predictor", "predict.kind", self.predictor.map(|kind| kind.to_value())),
-        ];
+        let mut choices =
+            vec![("--policy", "plan.policy", self.policy.map(|policy| policy.to_value()))];
+        let predictor = |key, value| ("--predictor", key, Some(value));
+        match &self.predictor {
+            Some(PredictorChoice::Kind(kind)) => {
+                choices.push(predictor("predict.kind", kind.to_value()));
+            }
+            Some(PredictorChoice::Network(file)) => choices.extend([
+                predictor("predict.kind", PredictorKind::Cnp.to_value()),
+                predictor("predict.model", Value::Text(file.clone())),
+                // Who names a network wants to see that one drive or nothing.
+                predictor("predict.fallback", Value::Bool(false)),
+            ]),
+            None => {}
+        }
         let numbers = [
             ("--speed-max", "speed.speed_max_mps", self.speed_max),
             ("--lidar-range", "lidar.range_m", self.lidar_range),
@@ -178,6 +207,7 @@ impl SilArgs {
             latency: self.latency,
             time_limit_s: self.time_limit,
             realtime: self.realtime,
+            snapshot_s: self.snapshot,
             params,
             out,
         }
@@ -196,6 +226,215 @@ pub struct MazeArgs {
     /// The YAML file to write; the picture is put beside it.
     #[arg(long, value_name = "FILE.yaml")]
     pub out: PathBuf,
+}
+
+/// Options of `apexd dataset`.
+#[derive(Args, Debug)]
+pub struct DatasetArgs {
+    /// Folder to write; must be empty.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: PathBuf,
+    /// Write into the folder even if it is not empty.
+    #[arg(long, help_heading = "Output")]
+    pub force: bool,
+    /// Print the manifest as one JSON object instead of the summary.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+
+    /// Kinds of maze, separated by commas.
+    #[arg(
+        long,
+        value_parser = family(),
+        value_delimiter = ',',
+        default_value = Family::Thin.name(),
+        help_heading = "Worlds"
+    )]
+    pub families: Vec<Family>,
+    /// Mazes of each kind, from seed A to the one before B. Seeds from 1000000 up are held out.
+    #[arg(long, value_name = "A..B", value_parser = seeds, help_heading = "Worlds")]
+    pub seeds: Option<[u64; 2]>,
+    /// A folder with ROS map_server maps, searched with everything below it, or one YAML file; may
+    /// be repeated.
+    #[arg(long, value_name = "DIR", num_args = 1.., help_heading = "Worlds")]
+    pub maps: Vec<PathBuf>,
+    /// Make data for scoring, from mazes that no network is trained on (the folder is marked, and
+    /// training refuses it).
+    #[arg(long, help_heading = "Worlds")]
+    pub held_out: bool,
+    /// Scenes in each maze and in each map.
+    #[arg(long, value_name = "N", default_value_t = 50, help_heading = "Scenes")]
+    pub scenes_per_world: usize,
+    /// What the scenes are like.
+    #[command(flatten)]
+    pub scenes: SceneArgs,
+}
+
+impl DatasetArgs {
+    /// What these options ask for.
+    pub fn settings(&self) -> Settings {
+        Settings {
+            held_out: self.held_out,
+            ..self.scenes.settings(
+                &self.families,
+                self.seeds.unwrap_or([0, 0]),
+                self.scenes_per_world,
+            )
+        }
+    }
+}
+
+/// How the scenes of a data set are made.
+#[derive(Args, Clone, Debug)]
+pub struct SceneArgs {
+    /// Side of a world cell of the mazes, metres. If it equals --resolution, everything is done on
+    /// the lattice itself: maps are brought to it, and the car's map has cells of that size.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 0.1,
+        help_heading = "Scenes")]
+    pub world_resolution: f64,
+    /// Side of a cell of the lattice that a network sees, metres.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 0.25,
+        help_heading = "Scenes")]
+    pub resolution: f64,
+    /// How far the lidar sees, metres; of several each scene draws one.
+    #[arg(long, value_name = "METRES", value_parser = positive, value_delimiter = ',',
+        default_value = "7.5", help_heading = "Scenes")]
+    pub lidar_range: Vec<f64>,
+    /// Beams of a scan.
+    #[arg(long, value_name = "N", default_value_t = 1080, help_heading = "Scenes")]
+    pub beams: u32,
+    /// Share of the scenes whose map has been built along a drive; the others have one scan.
+    #[arg(long, value_name = "FRACTION", value_parser = share, default_value_t = 0.5,
+        help_heading = "Scenes")]
+    pub along_drive: f64,
+    /// Longest drive, metres; drives of each order of magnitude up to it are equally frequent.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 160.0,
+        help_heading = "Scenes")]
+    pub drive_max: f64,
+    /// Least distance of the poses from a wall, metres.
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 0.3,
+        help_heading = "Scenes")]
+    pub clearance: f64,
+    /// Seed of poses and drives.
+    #[arg(long, default_value_t = 1, help_heading = "Scenes")]
+    pub seed: u64,
+}
+
+impl SceneArgs {
+    /// Scenes in some mazes.
+    fn settings(&self, families: &[Family], seeds: [u64; 2], scenes_per_world: usize) -> Settings {
+        Settings {
+            families: families.iter().map(|family| family.name().to_owned()).collect(),
+            seeds,
+            scenes_per_world,
+            resolution_m: self.resolution,
+            world_resolution_m: self.world_resolution,
+            lidar_ranges_m: self.lidar_range.clone(),
+            beams: self.beams,
+            along_drive: self.along_drive,
+            drive_max_m: self.drive_max,
+            clearance_m: self.clearance,
+            held_out: seeds[0] >= HELD_OUT_FROM,
+            seed: self.seed,
+        }
+    }
+}
+
+/// Options of `apexd evaluate`.
+#[derive(Args, Debug)]
+pub struct EvaluateArgs {
+    /// Kinds of maze to score on, separated by commas; a table for each.
+    #[arg(long, value_parser = family(), value_delimiter = ',', help_heading = "What is scored")]
+    pub family: Vec<Family>,
+    /// Mazes of each kind, from seed A to the one before B.
+    #[arg(long, value_name = "A..B", value_parser = seeds, default_value = "1000000..1000030",
+        help_heading = "What is scored")]
+    pub seeds: [u64; 2],
+    /// A folder with ROS map_server maps to score on, searched with everything below it, or one
+    /// YAML file; may be repeated, a table for each.
+    #[arg(long, value_name = "DIR", num_args = 1.., help_heading = "What is scored")]
+    pub maps: Vec<PathBuf>,
+    /// A folder that `apexd dataset` has written to score on; may be repeated, a table for each.
+    #[arg(long, value_name = "DIR", num_args = 1.., help_heading = "What is scored")]
+    pub dataset: Vec<PathBuf>,
+    /// Cells up to this far from the centre of a piece of the frontier, metres; several give
+    /// several tables.
+    #[arg(long, value_name = "METRES", value_parser = positive, value_delimiter = ',',
+        default_value = "7.5,5", help_heading = "What is scored")]
+    pub radius: Vec<f64>,
+
+    /// Scenes in each maze and in each map.
+    #[arg(long, value_name = "N", default_value_t = 20, help_heading = "Scenes")]
+    pub scenes_per_world: usize,
+    /// Most scenes of a data set, evenly spread over it.
+    #[arg(long, value_name = "N", default_value_t = 2000, help_heading = "Scenes")]
+    pub scenes_max: usize,
+    /// What the scenes are like (those of data sets are as they are).
+    #[command(flatten)]
+    pub scenes: SceneArgs,
+
+    /// Fit the baselines of mazes on these training mazes.
+    #[arg(long, value_name = "A..B", value_parser = seeds, default_value = "0..60",
+        help_heading = "Baselines")]
+    pub fit_seeds: [u64; 2],
+    /// Fit the baselines of maps on these maps; on the scored ones if not given.
+    #[arg(long, value_name = "DIR", num_args = 1.., help_heading = "Baselines")]
+    pub fit_maps: Vec<PathBuf>,
+    /// Fit the baselines of data sets on this one; if not given, on training mazes made in the same
+    /// way, or on the scored scenes if these are of maps.
+    #[arg(long, value_name = "DIR", help_heading = "Baselines")]
+    pub fit_dataset: Option<PathBuf>,
+
+    /// Folder for pictures, reliability diagrams and the scores as evaluation.json.
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Scenes of each table to draw.
+    #[arg(long, value_name = "N", default_value_t = 4, help_heading = "Output")]
+    pub pictures: usize,
+    /// Print the scores as one JSON object instead of tables.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
+}
+
+impl EvaluateArgs {
+    /// What these options ask for.
+    pub fn request(&self) -> Request {
+        let made = |families: &[Family], seeds, maps: &[PathBuf]| SceneSource::Made {
+            settings: self.scenes.settings(families, seeds, self.scenes_per_world),
+            maps: maps.to_vec(),
+        };
+        let mut sets: Vec<SetRequest> = self
+            .family
+            .iter()
+            .map(|family| SetRequest {
+                name: format!("{} mazes", family.name()),
+                scenes: made(&[*family], self.seeds, &[]),
+                fit: Some(made(&[*family], self.fit_seeds, &[])),
+            })
+            .collect();
+        sets.extend(self.maps.iter().map(|folder| SetRequest {
+            name: format!("maps {}", last_name(folder)),
+            scenes: made(&[], [0, 0], std::slice::from_ref(folder)),
+            fit: (!self.fit_maps.is_empty()).then(|| made(&[], [0, 0], &self.fit_maps)),
+        }));
+        sets.extend(self.dataset.iter().map(|folder| {
+            let stored = |folder: &Path| SceneSource::Stored {
+                folder: folder.to_owned(),
+                most: self.scenes_max,
+            };
+            let scenes = stored(folder);
+            let fit = match &self.fit_dataset {
+                Some(folder) => Some(stored(folder)),
+                None => scenes.alike(self.fit_seeds),
+            };
+            SetRequest { name: format!("data set {}", last_name(folder)), scenes, fit }
+        }));
+        Request { sets, radii_m: self.radius.clone(), pictures: self.pictures }
+    }
+}
+
+/// The last part of a path, without the extension of a file.
+fn last_name(path: &Path) -> String {
+    path.file_stem().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into())
 }
 
 /// Options of `apexd params`.
@@ -242,8 +481,38 @@ fn policy() -> impl TypedValueParser<Value = Policy> {
     choice(Policy::ALL, Policy::name, Policy::text)
 }
 
-fn predictor() -> impl TypedValueParser<Value = PredictorKind> {
-    choice(PredictorKind::ALL, PredictorKind::name, PredictorKind::text)
+/// A predictor by its name, or a network by its file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PredictorChoice {
+    /// One of those that have a name.
+    Kind(PredictorKind),
+    /// The trained network of an ONNX file.
+    Network(String),
+}
+
+fn predictor(text: &str) -> Result<PredictorChoice, String> {
+    if let Some(kind) = PredictorKind::from_name(text) {
+        return Ok(PredictorChoice::Kind(kind));
+    }
+    if text.ends_with(".onnx") {
+        return Ok(PredictorChoice::Network(text.to_owned()));
+    }
+    Err(format!("wanted is one of {}, or a file FILE.onnx", PredictorKind::NAMES.join(", ")))
+}
+
+/// A range of seeds, its upper end left out.
+fn seeds(text: &str) -> Result<[u64; 2], String> {
+    let ends = text.split_once("..").and_then(|(a, b)| Some([a.parse().ok()?, b.parse().ok()?]));
+    match ends {
+        Some([from, end]) if from < end => Ok([from, end]),
+        _ => Err("wanted are two whole numbers A..B, the second one larger, as in 0..2000".into()),
+    }
+}
+
+/// A number from 0 to 1.
+fn share(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|v| (0.0..=1.0).contains(v));
+    number.ok_or_else(|| "wanted is a number from 0 to 1".into())
 }
 
 /// `N` numbers separated by commas.
@@ -271,6 +540,11 @@ fn point(text: &str) -> Result<Point, String> {
 fn positive(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| "wanted is a number above zero".to_owned())
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
+    value.ok_or_else(|| "wanted is a number of seconds, zero or more".to_owned())
 }
 
 fn latency(text: &str) -> Result<Latency, String> {

@@ -3,6 +3,8 @@
 
 pub mod cli;
 mod configuration;
+mod dataset;
+mod evaluate;
 mod folder;
 mod pace;
 mod progress;
@@ -63,6 +65,8 @@ fn execute(
     match &cli.command {
         Command::Sil(args) => drive(args, environment, simulator, terminal, out),
         Command::Maze(args) => maze(args, simulator, out),
+        Command::Dataset(args) => dataset::run(args, terminal, out),
+        Command::Evaluate(args) => evaluate::run(args, terminal, out),
         Command::Params(args) => params(*args, out),
         Command::Check(args) => check(args, out),
     }

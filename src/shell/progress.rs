@@ -46,6 +46,34 @@ impl Terminal {
         let bar = self.bars.add(ProgressBar::new(STEPS).with_style(style));
         Bar { bar }
     }
+
+    /// A bar that counts; `what` names the things counted.
+    pub fn count_bar(&self, what: &'static str) -> CountBar {
+        let style =
+            ProgressStyle::with_template("{bar:18} {pos} of {len} {msg}, {elapsed}, {eta} to go")
+                .expect("the template is valid")
+                .progress_chars("━╸ ");
+        let bar = self.bars.add(ProgressBar::new(0).with_style(style).with_message(what));
+        CountBar { bar }
+    }
+}
+
+/// The bar of something that is counted.
+pub struct CountBar {
+    bar: ProgressBar,
+}
+
+impl CountBar {
+    /// Shows how many are done.
+    pub fn show(&self, done: usize, total: usize) {
+        self.bar.set_length(total as u64);
+        self.bar.set_position(done as u64);
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
 }
 
 /// The bar of one drive.

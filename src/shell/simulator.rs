@@ -35,6 +35,7 @@ impl Simulator for RigSimulator {
         let truth = walls(&place.world);
         let (start, goal) = (place.start, place.goal);
         let mut rig = Rig::new(setup(request, place)).map_err(input)?;
+        rig.keep_snapshot(request.snapshot_s);
 
         let begin = pace::now();
         let mut next_progress_s = 0.0;
@@ -64,6 +65,7 @@ impl Simulator for RigSimulator {
             trace: rig.trace().clone(),
             grid: rig.core().grid().clone(),
             truth,
+            snapshot: rig.snapshot().cloned(),
             start,
             goal,
             goal_radius_m: request.params.autopilot.goal_radius_m,
@@ -203,6 +205,9 @@ fn log(event: &Event) {
         }
         Event::PlanRejected { number, rejection } => {
             tracing::debug!(number, ?rejection, "no plan");
+        }
+        Event::PredictionFault { at, number, fault } => {
+            tracing::warn!(t_s = seconds(at), number, "no prediction: {fault}");
         }
         Event::PlanLate { number } => tracing::info!(number, "plan came too late"),
         Event::PlanShortened { at, number } => {

@@ -7,11 +7,14 @@
 
 mod car_end;
 mod setup;
+mod snapshot;
 
 use std::collections::VecDeque;
 
 use car_end::CarEnd;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
+use snapshot::Album;
+pub use snapshot::Snapshot;
 
 use crate::autopilot::{Autopilot, Command, Event, Fault, Mode};
 use crate::frames::Point;
@@ -62,7 +65,9 @@ pub struct Rig {
     events: VecDeque<Event>,
     plan_ms: Vec<f64>,
     predict_ms: Vec<f64>,
+    predict_effort: [u64; 2],
     reports: Option<Vec<(PlanRequest, StepReport)>>,
+    album: Option<Album>,
     trace: Trace,
     digest: crc::Digest<'static, u64>,
 }
@@ -149,6 +154,22 @@ impl Rig {
         self.reports.get_or_insert_default();
     }
 
+    /// From now on looks now and then at what the planner foresees, for
+    /// [`snapshot`](Self::snapshot): at a time in seconds from the first motion on, or halfway.
+    pub fn keep_snapshot(&mut self, at_s: Option<f64>) {
+        self.album = Some(Album::new(at_s));
+    }
+
+    /// What the planner foresaw nearest to the time asked for, so far.
+    pub fn snapshot(&self) -> Option<&Snapshot> {
+        self.album.as_ref()?.chosen(self.driven_s())
+    }
+
+    /// Seconds since the first motion.
+    fn driven_s(&self) -> f64 {
+        self.started.map_or(0.0, |at| self.now.seconds_after(at))
+    }
+
     /// The planning steps since the last call.
     pub fn take_reports(&mut self) -> Vec<(PlanRequest, StepReport)> {
         self.reports.as_mut().map(std::mem::take).unwrap_or_default()
@@ -211,17 +232,17 @@ impl Rig {
     /// The figures of the drive; `wall_s` is how long it took on the wall clock.
     pub fn summary(&self, wall_s: f64) -> Summary {
         let statistics = self.core.statistics();
-        let driven = self.started.map_or(0.0, |at| self.now.seconds_after(at));
         let ages: Vec<f64> =
             statistics.plan_ages.iter().map(|age| age.as_secs_f64() * 1e3).collect();
         let replans = statistics.replans;
+        let per_step = |count: u64| count as f64 / self.predict_ms.len().max(1) as f64;
         Summary {
             outcome: self.outcome.unwrap_or(if self.interrupted {
                 Outcome::Interrupted
             } else {
                 Outcome::Timeout
             }),
-            time_s: driven,
+            time_s: self.driven_s(),
             path_m: self.moved_m,
             collisions: self.judge.collisions(),
             unknown_entries: self.judge.unknown_entries(),
@@ -232,6 +253,9 @@ impl Rig {
             candidates: statistics.candidates as f64 / replans.max(1) as f64,
             plan_ms: Spread::of(&self.plan_ms),
             predict_ms: Spread::of(&self.predict_ms),
+            predict_context: per_step(self.predict_effort[0]),
+            predict_decoded: per_step(self.predict_effort[1]),
+            prediction_faults: statistics.prediction_faults,
             age_ms: Spread::of(&ages),
             realtime_factor: if wall_s > 0.0 { self.now.as_secs_f64() / wall_s } else { 0.0 },
             digest: format!("{:016x}", self.digest.clone().finalize()),
@@ -275,10 +299,17 @@ impl Rig {
             let report = self.planner.step(&request);
             self.plan_ms.push(report.times.total.as_secs_f64() * 1e3);
             self.predict_ms.push(report.times.predict.as_secs_f64() * 1e3);
+            let effort = report.prediction.effort;
+            self.predict_effort[0] += u64::from(effort.context);
+            self.predict_effort[1] += u64::from(effort.decoded);
             let done = match self.latency {
                 Latency::Fixed(seconds) => self.now.offset_by(seconds),
                 Latency::Measured => self.now + report.times.total,
             };
+            let t_s = self.driven_s();
+            if let Some(album) = &mut self.album {
+                album.step(t_s, &request, &report, &mut *self.planner);
+            }
             if let Some(reports) = &mut self.reports {
                 reports.push((request, report.clone()));
             }
