@@ -13,9 +13,9 @@
 use super::bubbles::ClearanceField;
 use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
-    clear_length_m, last_escapable, last_turnable,
+    clear_length_m, last_escapable,
 };
-use super::impasse::Impasses;
+use super::impasse::{Courage, Impasses};
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
     Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, Room, SearchError,
@@ -30,6 +30,8 @@ use crate::predict::{OccupancyView, Predictor, Scene};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
 use crate::{choices, tunables};
+
+mod turning;
 
 choices! {
     /// How the way is chosen.
@@ -52,7 +54,7 @@ choices! {
         Optimistic = "optimistic",
         /// The same with all unknown space taken for occupied.
         Seen = "seen",
-        /// Where the car can turn round in space known to be free.
+        /// Where the car can turn back onto the way that it came by, in space known to be free.
         TurnRound = "turn-round",
     }
 }
@@ -125,6 +127,7 @@ pub struct Planner {
     lethal: Vec<bool>,
     tight: Vec<bool>,
     impasses: Impasses,
+    tracks: turning::Tracks,
     guide: GuideSearch,
     manoeuvre: ManoeuvreSearch,
     frontiers: FrontierFinder,
@@ -197,6 +200,7 @@ impl Planner {
             lethal: Vec::new(),
             tight: Vec::new(),
             impasses: Impasses::default(),
+            tracks: turning::Tracks::default(),
             guide: GuideSearch::new(),
             manoeuvre: ManoeuvreSearch::new(),
             frontiers: FrontierFinder::default(),
@@ -229,7 +233,8 @@ impl Planner {
         candidates: &mut u32,
     ) -> Verdict {
         let mut lap = Lap::new(&self.clock);
-        self.impasses.begin(request.goal.position, request.scan_pose.position);
+        self.impasses.begin(request.goal.position);
+        self.tracks.follow(request);
         self.update_fields(request);
         times.field = lap.take(&self.clock);
         self.predictor.observe(&Scene {
@@ -246,7 +251,7 @@ impl Planner {
             return Verdict::Keep;
         }
         let mut found = self.guide(request, &here, times);
-        if found.is_err() && self.impasses.give_up(here.point.position) {
+        if found.is_err() && self.impasses.blame_closed(here.point.position) {
             self.set_masks(request);
             found = self.guide(request, &here, times);
         }
@@ -258,16 +263,22 @@ impl Planner {
         let verdict = self.along_guide(request, branches, &guide, times, candidates);
         match &verdict {
             Verdict::Rejected(_) if here.speed_mps <= 0.0 => {
-                let blocked = Clearance::new(&request.grid, &self.blocked);
-                let keep_m = self.keep_m();
-                let ahead = guide.points.iter().skip(1);
-                let ahead = ahead.copied().find(|p| blocked.at_up_to(*p, keep_m) < keep_m);
-                const ONWARD_M: f64 = 1.0;
-                let from = here.point.position;
-                let onward = guide.points.iter().copied().find(|p| (p - from).norm() >= ONWARD_M);
-                self.impasses.record_failure(from, ahead, onward);
+                if self.impasses.count_failure() {
+                    if let Some(plan) = self.turn_back(request, &here, &guide, times) {
+                        return Verdict::Plan(Box::new(plan));
+                    }
+                    self.try_another_way(request, &here, &guide, times);
+                }
             }
-            _ => self.impasses.record_progress(),
+            Verdict::Plan(plan) => {
+                let proven = || self.is_stop_proven(&request.grid, plan);
+                if self.impasses.courage() == Courage::Proven || proven() {
+                    self.impasses.record_progress(here.point.position);
+                } else {
+                    self.impasses.record_gamble();
+                }
+            }
+            _ => self.impasses.record_gamble(),
         }
         verdict
     }
@@ -773,10 +784,17 @@ impl Planner {
         let stop = match self.params.plan.stop_rule {
             StopRule::Optimistic => optimistic(),
             StopRule::Seen => last_escapable(grid, points, clear_m, &seen),
-            StopRule::TurnRound => last_turnable(grid, points, clear_m, &seen),
+            StopRule::TurnRound => {
+                self.last_turnable(grid, points, clear_m, Surfaces::OccupiedAndUnknown)
+            }
         };
-        stop.filter(|s_m| *s_m >= SHORTEST_PLAN_M)
-            .or_else(|| self.impasses.is_bold().then(optimistic).flatten())
+        let courage = self.impasses.courage();
+        let hoped = || self.last_turnable(grid, points, clear_m, Surfaces::Occupied);
+        let some_way = || last_escapable(grid, points, clear_m, &seen);
+        let progress = |s_m: &f64| *s_m >= SHORTEST_PLAN_M;
+        stop.filter(progress)
+            .or_else(|| (courage >= Courage::Hopeful).then(hoped).flatten().filter(progress))
+            .or_else(|| (courage >= Courage::Bold).then(some_way).flatten())
             .unwrap_or(0.0)
     }
 
