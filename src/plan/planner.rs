@@ -977,14 +977,36 @@ fn rest_of(points: impl Iterator<Item = PathPoint>, from: PathPoint) -> Option<P
     (rest.len() > 1).then_some(Path { points: rest })
 }
 
-/// The committed path from `from` to the branch point, then `path`; arc length from zero.
+/// The committed path from `from` to the branch point, then `path`; arc length from zero. Where the
+/// two do not bend alike there (a manoeuvre as it was found), the curvature changes linearly over
+/// two millimetres.
 fn join(committed: &Trajectory, from: PathPoint, branch: &Branch, path: &Path) -> Path {
+    const HALF_M: f64 = 1e-3;
+    const ALIKE_PM: f64 = 1e-3;
+    let first = path.points[0];
+    let alike = (first.curvature_pm - branch.point.curvature_pm).abs() < ALIKE_PM;
+    let gap_m = if alike { 0.0 } else { HALF_M };
     let before = committed.points.iter().map(|p| p.path);
-    let before = before.filter(|p| p.s_m < branch.s_m - SHORTEST_EDGE_M);
+    let before = before.filter(|p| p.s_m < branch.s_m - gap_m - SHORTEST_EDGE_M);
     let mut joined = rest_of(before, from)
         .unwrap_or_else(|| Path { points: vec![PathPoint { s_m: 0.0, ..from }] });
     let length_m = branch.s_m - from.s_m;
-    joined.points.extend(path.points.iter().map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
+    let mut points = path.points.iter();
+    if !alike && length_m > gap_m + SHORTEST_EDGE_M {
+        let last = committed.at_distance(branch.s_m - gap_m).path;
+        joined.points.push(PathPoint { s_m: length_m - gap_m, ..last });
+        points.next();
+        let turn = Pose { position: first.position, heading_rad: first.heading_rad };
+        let turn = turn.along_arc(gap_m, first.curvature_pm * gap_m);
+        joined.points.push(PathPoint {
+            s_m: length_m + gap_m,
+            position: turn.position,
+            heading_rad: turn.heading_rad,
+            curvature_pm: first.curvature_pm,
+        });
+    }
+    let beyond = points.filter(|p| alike || p.s_m > gap_m + SHORTEST_EDGE_M);
+    joined.points.extend(beyond.map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
     joined
 }
 
