@@ -13,10 +13,10 @@
 use super::bubbles::ClearanceField;
 use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
-    clear_length_m, last_escapable, last_turnable,
+    clear_length_m, last_escapable,
 };
 use super::foreseen::{Foreseen, ForeseenParams, ShapeField};
-use super::impasse::Impasses;
+use super::impasse::{Courage, Impasses};
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
     Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, Room, SearchError,
@@ -31,6 +31,8 @@ use crate::predict::{OccupancyView, Predictor, Scene, Supervised};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
 use crate::{choices, tunables};
+
+mod turning;
 
 choices! {
     /// How the way is chosen.
@@ -53,7 +55,7 @@ choices! {
         Optimistic = "optimistic",
         /// The same with all unknown space taken for occupied.
         Seen = "seen",
-        /// Where the car can turn round in space known to be free.
+        /// Where the car can turn back onto the way that it came by, in space known to be free.
         TurnRound = "turn-round",
     }
 }
@@ -137,6 +139,7 @@ pub struct Planner {
     lethal: Vec<bool>,
     tight: Vec<bool>,
     impasses: Impasses,
+    tracks: turning::Tracks,
     guide: GuideSearch,
     manoeuvre: ManoeuvreSearch,
     frontiers: FrontierFinder,
@@ -178,6 +181,7 @@ impl Planner {
             lethal: Vec::new(),
             tight: Vec::new(),
             impasses: Impasses::default(),
+            tracks: turning::Tracks::default(),
             guide: GuideSearch::new(),
             manoeuvre: ManoeuvreSearch::new(),
             frontiers: FrontierFinder::default(),
@@ -213,7 +217,8 @@ impl Planner {
         candidates: &mut u32,
     ) -> Verdict {
         let mut lap = Lap::new(&self.clock);
-        self.impasses.begin(request.goal.position, request.scan_pose.position);
+        self.impasses.begin(request.goal.position);
+        self.tracks.follow(request);
         self.update_fields(request);
         times.field = lap.take(&self.clock);
         let scene = Scene {
@@ -230,7 +235,7 @@ impl Planner {
             return Verdict::Keep;
         }
         let mut found = self.guide_foreseen(request, &here, times);
-        if found.is_err() && self.impasses.give_up(here.point.position) {
+        if found.is_err() && self.impasses.blame_closed(here.point.position) {
             self.set_masks(request);
             found = self.guide_foreseen(request, &here, times);
         }
@@ -242,16 +247,22 @@ impl Planner {
         let verdict = self.along_guide(request, branches, &guide, times, candidates);
         match &verdict {
             Verdict::Rejected(_) if here.speed_mps <= 0.0 => {
-                let blocked = Clearance::new(&request.grid, &self.blocked);
-                let keep_m = self.keep_m();
-                let ahead = guide.points.iter().skip(1);
-                let ahead = ahead.copied().find(|p| blocked.at_up_to(*p, keep_m) < keep_m);
-                const ONWARD_M: f64 = 1.0;
-                let from = here.point.position;
-                let onward = guide.points.iter().copied().find(|p| (p - from).norm() >= ONWARD_M);
-                self.impasses.record_failure(from, ahead, onward);
+                if self.impasses.count_failure() {
+                    if let Some(plan) = self.turn_back(request, &here, &guide, times) {
+                        return Verdict::Plan(Box::new(plan));
+                    }
+                    self.try_another_way(request, &here, &guide, times);
+                }
             }
-            _ => self.impasses.record_progress(),
+            Verdict::Plan(plan) => {
+                let proven = || self.is_stop_proven(&request.grid, plan);
+                if self.impasses.courage() == Courage::Proven || proven() {
+                    self.impasses.record_progress(here.point.position);
+                } else {
+                    self.impasses.record_gamble();
+                }
+            }
+            _ => self.impasses.record_gamble(),
         }
         verdict
     }
@@ -833,10 +844,17 @@ impl Planner {
         let stop = match self.params.plan.stop_rule {
             StopRule::Optimistic => optimistic(),
             StopRule::Seen => last_escapable(grid, points, clear_m, &seen),
-            StopRule::TurnRound => last_turnable(grid, points, clear_m, &seen),
+            StopRule::TurnRound => {
+                self.last_turnable(grid, points, clear_m, Surfaces::OccupiedAndUnknown)
+            }
         };
-        stop.filter(|s_m| *s_m >= SHORTEST_PLAN_M)
-            .or_else(|| self.impasses.is_bold().then(optimistic).flatten())
+        let courage = self.impasses.courage();
+        let hoped = || self.last_turnable(grid, points, clear_m, Surfaces::Occupied);
+        let some_way = || last_escapable(grid, points, clear_m, &seen);
+        let progress = |s_m: &f64| *s_m >= SHORTEST_PLAN_M;
+        stop.filter(progress)
+            .or_else(|| (courage >= Courage::Hopeful).then(hoped).flatten().filter(progress))
+            .or_else(|| (courage >= Courage::Bold).then(some_way).flatten())
             .unwrap_or(0.0)
     }
 
@@ -1019,14 +1037,36 @@ fn rest_of(points: impl Iterator<Item = PathPoint>, from: PathPoint) -> Option<P
     (rest.len() > 1).then_some(Path { points: rest })
 }
 
-/// The committed path from `from` to the branch point, then `path`; arc length from zero.
+/// The committed path from `from` to the branch point, then `path`; arc length from zero. Where the
+/// two do not bend alike there (a manoeuvre as it was found), the curvature changes linearly over
+/// two millimetres.
 fn join(committed: &Trajectory, from: PathPoint, branch: &Branch, path: &Path) -> Path {
+    const HALF_M: f64 = 1e-3;
+    const ALIKE_PM: f64 = 1e-3;
+    let first = path.points[0];
+    let alike = (first.curvature_pm - branch.point.curvature_pm).abs() < ALIKE_PM;
+    let gap_m = if alike { 0.0 } else { HALF_M };
     let before = committed.points.iter().map(|p| p.path);
-    let before = before.filter(|p| p.s_m < branch.s_m - SHORTEST_EDGE_M);
+    let before = before.filter(|p| p.s_m < branch.s_m - gap_m - SHORTEST_EDGE_M);
     let mut joined = rest_of(before, from)
         .unwrap_or_else(|| Path { points: vec![PathPoint { s_m: 0.0, ..from }] });
     let length_m = branch.s_m - from.s_m;
-    joined.points.extend(path.points.iter().map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
+    let mut points = path.points.iter();
+    if !alike && length_m > gap_m + SHORTEST_EDGE_M {
+        let last = committed.at_distance(branch.s_m - gap_m).path;
+        joined.points.push(PathPoint { s_m: length_m - gap_m, ..last });
+        points.next();
+        let turn = Pose { position: first.position, heading_rad: first.heading_rad };
+        let turn = turn.along_arc(gap_m, first.curvature_pm * gap_m);
+        joined.points.push(PathPoint {
+            s_m: length_m + gap_m,
+            position: turn.position,
+            heading_rad: turn.heading_rad,
+            curvature_pm: first.curvature_pm,
+        });
+    }
+    let beyond = points.filter(|p| alike || p.s_m > gap_m + SHORTEST_EDGE_M);
+    joined.points.extend(beyond.map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
     joined
 }
 
