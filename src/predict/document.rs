@@ -337,7 +337,7 @@ fn stored_elements(tensor: &TensorProto) -> Option<i64> {
     };
     if !tensor.raw_data.is_empty() {
         let bytes = tensor.raw_data.len();
-        return Some(if bytes % size == 0 { (bytes / size) as i64 } else { -1 });
+        return Some(if bytes.is_multiple_of(size) { (bytes / size) as i64 } else { -1 });
     }
     let lists = [
         tensor.float_data.len(),
