@@ -131,7 +131,6 @@ fn run(drive: &Drive, world: &World, policy: Policy, kind: PredictorKind) -> Sum
             summary: summary.clone(),
             trace: rig.trace().clone(),
             grid: rig.core().grid().clone(),
-            snapshot: None,
             start,
             goal,
             goal_radius_m,
