@@ -25,7 +25,7 @@ pub use baselines::{Baseline, Kind as BaselineKind};
 pub use card::{ModelFacts, card};
 pub use metrics::{RELIABILITY_BINS, Reliability, Scores, Tally, clustered_interval, log_loss};
 pub use request::{Request, SceneSource, SetRequest};
-pub use scores::{Band, EdgeScores, Evaluation, RadiusScores, Scored, SetScores};
+pub use scores::{Band, Difference, EdgeScores, Evaluation, RadiusScores, Scored, SetScores};
 pub use table::table;
 pub use view::{Edge, MazeLattice, Phase, View};
 
