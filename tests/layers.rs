@@ -18,7 +18,17 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("localize", &["map"]),
     ("predict", &["map"]),
     // The planner knows that there is a predictor, never which.
-    ("plan", &["map", "predict::OccupancyView", "predict::Predictor", "predict::Scene"]),
+    (
+        "plan",
+        &[
+            "map",
+            "predict::OccupancyView",
+            "predict::PredictReport",
+            "predict::Predictor",
+            "predict::Scene",
+            "predict::Supervised",
+        ],
+    ),
     // The proof of a plan never sees a prediction.
     ("plan::certify", &["map"]),
     ("control", &["plan::Path", "plan::PathPoint", "plan::Trajectory", "plan::TrajectoryPoint"]),

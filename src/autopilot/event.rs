@@ -3,6 +3,7 @@
 use super::{Fault, Mode};
 use crate::frames::Point;
 use crate::plan::Rejection;
+use crate::predict::PredictFault;
 use crate::time::{Duration, Instant};
 
 /// A wish of a person or a ground station.
@@ -99,6 +100,15 @@ pub enum Event {
         /// Why.
         rejection: Rejection,
     },
+    /// A planning step went on without prediction.
+    PredictionFault {
+        /// When it came back.
+        at: Instant,
+        /// Its number.
+        number: u32,
+        /// Why.
+        fault: PredictFault,
+    },
     /// A plan came too late to take over.
     PlanLate {
         /// Its number.
@@ -141,6 +151,8 @@ pub struct Statistics {
     pub plans_stale: u64,
     /// Committed plans that something was set down on.
     pub plans_revoked: u64,
+    /// Faults of the prediction.
+    pub prediction_faults: u64,
     /// Candidate paths of all steps.
     pub candidates: u64,
     /// Times the guard took over.

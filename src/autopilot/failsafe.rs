@@ -30,6 +30,8 @@ pub enum Fault {
     PathBlocked,
     /// The guard had to take over.
     GuardStop,
+    /// The planner goes on without prediction.
+    NoPrediction,
 }
 
 /// What is done about a fault.
@@ -163,6 +165,13 @@ pub const TABLE: &[Row] = &[
         action: Action::Report,
         clears: Clears::ByItself,
     },
+    Row {
+        fault: Fault::NoPrediction,
+        detection: "the network is missing, fails, is too slow, or its answers are no probabilities",
+        within_s: PLAN_TIMEOUT_S,
+        action: Action::Report,
+        clears: Clears::ByItself,
+    },
 ];
 
 impl Fault {
@@ -185,6 +194,7 @@ impl Fault {
             Self::GoalUnreachable => "goal unreachable",
             Self::PathBlocked => "path blocked",
             Self::GuardStop => "guard stop",
+            Self::NoPrediction => "no prediction",
         }
     }
 }
@@ -226,7 +236,7 @@ impl ActiveFaults {
 mod tests {
     use super::*;
 
-    const ALL: [Fault; 11] = [
+    const ALL: [Fault; 12] = [
         Fault::ScanLate,
         Fault::OdometryLate,
         Fault::StatusLost,
@@ -238,6 +248,7 @@ mod tests {
         Fault::GoalUnreachable,
         Fault::PathBlocked,
         Fault::GuardStop,
+        Fault::NoPrediction,
     ];
 
     #[test]

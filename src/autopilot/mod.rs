@@ -287,6 +287,16 @@ impl Autopilot {
         self.in_flight = None;
         self.statistics.replans += 1;
         self.statistics.candidates += u64::from(report.candidates);
+        let prediction = report.prediction;
+        if prediction.fault.is_some() || prediction.resting {
+            self.raise(now, Fault::NoPrediction);
+        } else {
+            self.clear(now, Fault::NoPrediction);
+        }
+        if let Some(fault) = prediction.fault {
+            self.statistics.prediction_faults += 1;
+            self.events.push_back(Event::PredictionFault { at: now, number: report.number, fault });
+        }
         match report.verdict {
             Verdict::Plan(plan) => {
                 let welcome = self.mode == Mode::Drive && self.decisive_action().is_none();

@@ -26,7 +26,7 @@ use super::speed::{End, SpeedLimits, SpeedParams, SpeedProfiler, SpeedTask};
 use super::{Path, PathPoint, Trajectory};
 use crate::frames::{Point, Pose};
 use crate::map::{Blocking, Clearance, DistanceField, FrontierFinder, Grid};
-use crate::predict::{OccupancyView, Predictor, Scene};
+use crate::predict::{OccupancyView, Predictor, Scene, Supervised};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
 use crate::{choices, tunables};
@@ -118,7 +118,7 @@ pub const SHORTEST_PLAN_M: f64 = 0.02;
 /// Turns maps into certified plans.
 pub struct Planner {
     params: PlannerParams,
-    predictor: Box<dyn Predictor>,
+    predictor: Supervised,
     clock: Stopwatch,
     occupied: DistanceField,
     blocked: DistanceField,
@@ -150,28 +150,13 @@ impl ClearanceField for ShapeField<'_> {
     }
 }
 
-/// Counts the time that the predictor takes while the search asks it.
-struct TimedView<'a> {
-    view: &'a mut dyn Predictor,
-    clock: &'a Stopwatch,
-    spent: Duration,
-}
-
-impl OccupancyView for TimedView<'_> {
-    fn occupied(&mut self, points: &[Point], out: &mut [f32]) {
-        let before = (self.clock)();
-        self.view.occupied(points, out);
-        self.spent += (self.clock)().saturating_sub(before);
-    }
-
-    fn silent(&self, low: Point, high: Point) -> bool {
-        self.view.silent(low, high)
-    }
-}
-
 impl Planning for Planner {
     fn step(&mut self, request: &PlanRequest) -> StepReport {
         self.answer(request)
+    }
+
+    fn view(&mut self) -> Option<Box<dyn OccupancyView + '_>> {
+        Some(Box::new(self.predictor.view(&self.clock)))
     }
 }
 
@@ -190,7 +175,7 @@ impl Planner {
     pub fn new(params: PlannerParams, predictor: Box<dyn Predictor>, clock: Stopwatch) -> Self {
         Self {
             params,
-            predictor,
+            predictor: Supervised::new(predictor),
             clock,
             occupied: DistanceField::new(Blocking::Occupied, FIELD_CAP_M),
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, FIELD_CAP_M),
@@ -212,6 +197,8 @@ impl Planner {
         let mut candidates = 0;
         let verdict = self.verdict(request, &mut times, &mut candidates);
         times.total = (self.clock)().saturating_sub(started);
+        let prediction = self.predictor.report();
+        times.predict = prediction.spent;
         StepReport {
             number: request.number,
             base: request.committed.number,
@@ -219,6 +206,7 @@ impl Planner {
             verdict,
             candidates,
             times,
+            prediction,
         }
     }
 
@@ -232,13 +220,13 @@ impl Planner {
         self.impasses.begin(request.goal.position, request.scan_pose.position);
         self.update_fields(request);
         times.field = lap.take(&self.clock);
-        self.predictor.observe(&Scene {
+        let scene = Scene {
             grid: &request.grid,
             pose: request.scan_pose,
             goal: request.goal.position,
             changed: request.changed,
-        });
-        times.predict = lap.take(&self.clock);
+        };
+        self.predictor.observe(&scene, &self.clock);
 
         let branches = self.branches(request);
         let here = branches[0];
@@ -422,24 +410,22 @@ impl Planner {
         };
         let mut lap = Lap::new(&self.clock);
         let params = &self.params.search;
-        let (found, predict) = if self.params.plan.policy == Policy::Frontier {
+        let predicted = self.predictor.spent();
+        let mut view = self.predictor.view(&self.clock);
+        let found = if self.params.plan.policy == Policy::Frontier {
             query.through_unknown = false;
             let tight = Terrain { lethal: &self.tight, ..terrain };
-            let found = self.guide.find(&tight, &query, &mut *self.predictor, params);
-            let found = match found {
+            match self.guide.find(&tight, &query, &mut view, params) {
                 Err(SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }) => {
                     self.frontier_guide(request, &mut query)
                 }
                 found => found,
-            };
-            (found, Duration::ZERO)
+            }
         } else {
-            let view = &mut *self.predictor;
-            let mut view = TimedView { view, clock: &self.clock, spent: Duration::ZERO };
-            (self.guide.find(&terrain, &query, &mut view, params), view.spent)
+            self.guide.find(&terrain, &query, &mut view, params)
         };
-        times.predict += predict;
-        times.search += lap.take(&self.clock).saturating_sub(predict);
+        let predicted = self.predictor.spent().saturating_sub(predicted);
+        times.search += lap.take(&self.clock).saturating_sub(predicted);
         let mut guide = found.map_err(|error| match error {
             SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }
                 if self.params.plan.policy != Policy::Frontier =>
@@ -499,8 +485,8 @@ impl Planner {
             query.goal = grid.centre(frontier.representative);
             // The disc cannot stand on the frontier itself.
             query.goal_radius_m = self.keep_m() + 2.0 * grid.resolution_m();
-            let found = self.guide.find(&terrain, query, &mut *self.predictor, &self.params.search);
-            match found {
+            let mut view = self.predictor.view(&self.clock);
+            match self.guide.find(&terrain, query, &mut view, &self.params.search) {
                 Ok(guide) if guide.length_m > SHORTEST_PLAN_M => return Ok(guide),
                 Ok(_) => {}
                 Err(error) => last = error,

@@ -6,6 +6,7 @@ use super::certify::Violation;
 use super::{Path, Trajectory};
 use crate::frames::{Point, Pose};
 use crate::map::{CellRect, Grid};
+use crate::predict::{OccupancyView, PredictReport};
 use crate::time::{Duration, Instant};
 
 /// Where to drive: a disc in the map frame.
@@ -127,10 +128,17 @@ pub struct StepReport {
     pub candidates: u32,
     /// Where the wall time went.
     pub times: StepTimes,
+    /// How the prediction went.
+    pub prediction: PredictReport,
 }
 
 /// Whatever answers planning requests.
 pub trait Planning: Send {
     /// Answers one request.
     fn step(&mut self, request: &PlanRequest) -> StepReport;
+
+    /// What the newest step knew of the unknown, to be shown; `None` if there is nothing to show.
+    fn view(&mut self) -> Option<Box<dyn OccupancyView + '_>> {
+        None
+    }
 }

@@ -3,16 +3,39 @@
 //! A prediction may change the path and the wished speed, never the stop: `guard` and
 //! `plan::certify` have no access to it.
 
+mod cnp;
+mod document;
+mod fault;
 pub mod lattice;
+mod metadata;
+mod model_error;
+mod network;
 mod reach;
 mod reference;
+mod runtime;
+mod supervise;
+#[cfg(test)]
+mod test_networks;
+mod trust;
 
+pub use cnp::CnpPredictor;
+pub use fault::PredictFault;
+pub use metadata::Metadata;
+pub use model_error::ModelError;
+pub use network::{Answers, Network};
 pub use reference::{NoPrediction, OraclePredictor, RandomPredictor};
+pub use runtime::RuntimeError;
+pub use supervise::{PredictReport, Supervised, SupervisedView};
+pub use trust::Calibration;
 
 use std::sync::Arc;
 
+use reference::Missing;
+use runtime::Runtime;
+
 use crate::frames::{Point, Pose};
 use crate::map::{CellRect, Grid};
+use crate::time::Duration;
 use crate::{choices, tunables};
 
 /// The planner's view of the unknown during one step.
@@ -32,6 +55,9 @@ pub trait OccupancyView {
 
 /// The answer where nothing is foreseen.
 const SILENT: f32 = 0.5;
+
+/// The network that ships.
+const SHIPPED: &[u8] = include_bytes!("../../params/cnp.onnx");
 
 /// What a predictor may look at before a step.
 #[derive(Clone, Copy, Debug)]
@@ -54,11 +80,37 @@ pub struct Scene<'a> {
 pub trait Predictor: OccupancyView + Send {
     /// Takes in the newest scene. Later questions are about it.
     fn observe(&mut self, scene: &Scene<'_>);
+
+    /// What has gone wrong since the last scene, if anything has; its answers are 0.5 since.
+    fn fault(&self) -> Option<&PredictFault> {
+        None
+    }
+
+    /// What has been worked through since the last scene.
+    fn effort(&self) -> Effort {
+        Effort::default()
+    }
+
+    /// How long it may take in a step.
+    fn time_limit(&self) -> Option<Duration> {
+        None
+    }
+}
+
+/// What a predictor works through in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Effort {
+    /// Observed cells that were encoded.
+    pub context: u32,
+    /// Cells that were decoded.
+    pub decoded: u32,
 }
 
 choices! {
     /// Where the view of the unknown comes from.
     pub enum PredictorKind {
+        /// What a trained network foresees: the one of `predict.model`, or the one that ships.
+        Cnp = "cnp",
         /// Nothing is foreseen: every unknown point is occupied with probability 0.5.
         None = "none",
         /// The true map, within the prediction range; simulation only.
@@ -77,11 +129,23 @@ tunables! {
         kind: PredictorKind = PredictorKind::None, at_rest, one of;
         /// How far from the frontier of the known map anything is foreseen; 0.5 beyond.
         range_m: f64 = 5.0, at_rest, in 0.5..=50.0, "m";
+        /// The trained network's ONNX file; if empty, the one that is part of the program.
+        model: String = "", restart;
+        /// The shared library of ONNX Runtime that runs the network; if empty, the runtime that is
+        /// part of the program.
+        onnxruntime: String = "", restart;
+        /// A step that predicts for longer goes on without, and so do the next ones.
+        time_limit_s: f64 = 0.01, restart, in 0.0001..=10.0, "s";
+        /// Draw predictions towards 0.5 as far as the network calls the scene unfamiliar.
+        fade: bool = true, restart;
+        /// Drive without prediction if the network cannot be used (a fault is raised); otherwise
+        /// do not drive.
+        fallback: bool = true, restart;
     }
 }
 
 /// Why a predictor cannot be made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PredictError {
     /// Only a simulation knows the true map.
     #[error("predictor {:?} needs the true map, which only a simulated world gives", kind.name())]
@@ -89,24 +153,79 @@ pub enum PredictError {
         /// What was asked for.
         kind: PredictorKind,
     },
+    /// The network cannot be used.
+    #[error("cannot use the network {file}: {error}")]
+    Model {
+        /// Its file.
+        file: String,
+        /// What does not fit.
+        error: ModelError,
+    },
+    /// The inference runtime cannot be had.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
 }
 
 /// The predictor that the parameters name. `truth` is the true map in the map frame, `seed` fixes
 /// the draws of `random`.
+///
+/// # Errors
+/// If the true map or the network is missing; a network that cannot be used is only an error
+/// without [`PredictParams::fallback`], and else a predictor that has nothing but a fault to tell.
 pub fn build(
     params: &PredictParams,
     truth: Option<Arc<Grid>>,
     seed: u64,
 ) -> Result<Box<dyn Predictor>, PredictError> {
     let kind = params.kind;
-    let oracle = |inverted| {
+    let oracle = |inverted| -> Result<_, PredictError> {
         let truth = truth.ok_or(PredictError::NoTruth { kind })?;
         Ok(Box::new(OraclePredictor::new(truth, params.range_m, inverted)))
     };
     Ok(match kind {
+        PredictorKind::Cnp => learned(params)?,
         PredictorKind::None => Box::new(NoPrediction),
         PredictorKind::Random => Box::new(RandomPredictor::new(seed)),
         PredictorKind::Oracle => oracle(false)?,
         PredictorKind::Inverted => oracle(true)?,
     })
+}
+
+fn learned(params: &PredictParams) -> Result<Box<dyn Predictor>, PredictError> {
+    match load(params) {
+        Ok(network) => Ok(Box::new(CnpPredictor::new(network, params))),
+        Err(error) if params.fallback => {
+            tracing::warn!("driving without prediction: {error}");
+            Ok(Box::new(Missing::new(&error)))
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// The network that the parameters name, ready to run.
+///
+/// # Errors
+/// Says what does not fit, and what would.
+pub fn load(params: &PredictParams) -> Result<Network, PredictError> {
+    let runtime = match Runtime::choose(&params.onnxruntime) {
+        Err(error) if params.fallback && !params.onnxruntime.is_empty() => {
+            tracing::warn!("{error}; using the built-in runtime");
+            Runtime::choose("")?
+        }
+        chosen => chosen?,
+    };
+    let shipped = params.model.is_empty();
+    let file = if shipped { "that is part of the program" } else { &*params.model };
+    let fail = |error| PredictError::Model { file: file.to_owned(), error };
+    let network = if shipped {
+        Network::load(SHIPPED, runtime)
+    } else {
+        std::fs::read(&params.model)
+            .map_err(|error| ModelError::Unreadable { why: error.to_string() })
+            .and_then(|bytes| Network::load(&bytes, runtime))
+    };
+    let network = network.map_err(fail)?;
+    let Metadata { architecture, world, trained_on, .. } = network.metadata();
+    tracing::info!(runtime = runtime.name(), architecture, world, trained_on, "network {file}");
+    Ok(network)
 }

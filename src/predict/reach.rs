@@ -90,6 +90,25 @@ impl Reach {
         self.offset(block(p.x), block(p.y)).is_some_and(|at| self.within[at])
     }
 
+    /// Whether each point of a lattice of `side` by `side` points, row by row from the lowest one,
+    /// lies within the range.
+    pub(super) fn mark(&self, low: Point, step_m: f64, side: usize, out: &mut Vec<bool>) {
+        out.clear();
+        if self.side == 0 {
+            out.resize(side * side, false);
+            return;
+        }
+        let block_m = f64::from(self.side) * self.resolution_m;
+        let blocks = |from: f64| -> Vec<i32> {
+            (0..side).map(|k| ((from + k as f64 * step_m) / block_m).floor() as i32).collect()
+        };
+        let (columns, rows) = (blocks(low.x), blocks(low.y));
+        for by in rows {
+            let within = |bx: &i32| self.offset(*bx, by).is_some_and(|at| self.within[at]);
+            out.extend(columns.iter().map(within));
+        }
+    }
+
     /// Whether a point of the rectangle between two corners may lie within the range.
     pub(super) fn touches(&self, low: Point, high: Point) -> bool {
         if self.side == 0 {

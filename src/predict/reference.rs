@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::reach::Reach;
-use super::{OccupancyView, Predictor, SILENT, Scene};
+use super::{OccupancyView, PredictError, PredictFault, Predictor, SILENT, Scene};
 use crate::frames::Point;
 use crate::map::{Cell, Grid};
 
@@ -23,6 +23,34 @@ impl OccupancyView for NoPrediction {
 
 impl Predictor for NoPrediction {
     fn observe(&mut self, _: &Scene<'_>) {}
+}
+
+/// Stands in for a network that cannot be used: foresees nothing, and says why.
+#[derive(Clone, Debug)]
+pub(super) struct Missing(PredictFault);
+
+impl Missing {
+    pub(super) fn new(error: &PredictError) -> Self {
+        Self(PredictFault::Failed(error.to_string()))
+    }
+}
+
+impl OccupancyView for Missing {
+    fn occupied(&mut self, _: &[Point], out: &mut [f32]) {
+        out.fill(SILENT);
+    }
+
+    fn silent(&self, _: Point, _: Point) -> bool {
+        true
+    }
+}
+
+impl Predictor for Missing {
+    fn observe(&mut self, _: &Scene<'_>) {}
+
+    fn fault(&self) -> Option<&PredictFault> {
+        Some(&self.0)
+    }
 }
 
 /// Knows the true map within the prediction range of the known map's frontier; answers 0.5 beyond
@@ -108,7 +136,7 @@ mod tests {
     use super::*;
     use crate::frames::Pose;
     use crate::map::{CellIndex, CellRect};
-    use crate::predict::{PredictError, PredictParams, PredictorKind, build};
+    use crate::predict::{PredictParams, PredictorKind, build};
 
     /// Truth: 20 m by 4 m of free space with a wall at x = 4 m and one at x = 15 m; known: the
     /// first two metres.

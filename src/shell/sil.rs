@@ -130,6 +130,10 @@ pub fn summary_text(summary: &Summary) -> String {
         ),
         format!("  planning time   {}", spread_text(&s.plan_ms)),
         format!("  predicting      {}", spread_text(&s.predict_ms)),
+        format!(
+            "  prediction      {:.0} cells encoded and {:.0} decoded a step, {} faults",
+            s.predict_context, s.predict_decoded, s.prediction_faults
+        ),
         format!("  age of scan     {}", spread_text(&s.age_ms)),
         format!("  simulated at    {:.1} times real time", s.realtime_factor),
         format!("  setpoints       digest {}", s.digest),

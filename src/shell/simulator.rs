@@ -203,6 +203,9 @@ fn log(event: &Event) {
         Event::PlanRejected { number, rejection } => {
             tracing::debug!(number, ?rejection, "no plan");
         }
+        Event::PredictionFault { at, number, fault } => {
+            tracing::warn!(t_s = seconds(at), number, "no prediction: {fault}");
+        }
         Event::PlanLate { number } => tracing::info!(number, "plan came too late"),
         Event::PlanShortened { at, number } => {
             tracing::info!(t_s = seconds(at), number, "plan cut short: something stands on it");

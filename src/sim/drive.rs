@@ -73,6 +73,12 @@ pub struct Summary {
     pub plan_ms: Spread,
     /// Wall time of its prediction part.
     pub predict_ms: Spread,
+    /// Observed cells that the predictor encoded, mean over the planning steps.
+    pub predict_context: f64,
+    /// Cells that it decoded, mean over the planning steps.
+    pub predict_decoded: f64,
+    /// Planning steps in which the prediction failed.
+    pub prediction_faults: u64,
     /// Age of the newest scan in the plan being driven.
     pub age_ms: Spread,
     /// Simulated time over wall time.

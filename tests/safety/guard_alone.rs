@@ -6,6 +6,7 @@ use apexd::plan::{
     Path, PathPoint, Plan, PlanRequest, Planning, StepReport, StepTimes, Trajectory,
     TrajectoryPoint, Verdict,
 };
+use apexd::predict::PredictReport;
 use apexd::sim::drive::Outcome;
 use apexd::sim::maze::Family;
 use rayon::prelude::*;
@@ -60,6 +61,7 @@ impl Planning for FullThrottle {
             verdict: Verdict::Plan(Box::new(plan)),
             candidates: 1,
             times: StepTimes::default(),
+            prediction: PredictReport::default(),
         }
     }
 }

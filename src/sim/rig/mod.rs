@@ -62,6 +62,7 @@ pub struct Rig {
     events: VecDeque<Event>,
     plan_ms: Vec<f64>,
     predict_ms: Vec<f64>,
+    predict_effort: [u64; 2],
     reports: Option<Vec<(PlanRequest, StepReport)>>,
     trace: Trace,
     digest: crc::Digest<'static, u64>,
@@ -215,6 +216,7 @@ impl Rig {
         let ages: Vec<f64> =
             statistics.plan_ages.iter().map(|age| age.as_secs_f64() * 1e3).collect();
         let replans = statistics.replans;
+        let per_step = |count: u64| count as f64 / self.predict_ms.len().max(1) as f64;
         Summary {
             outcome: self.outcome.unwrap_or(if self.interrupted {
                 Outcome::Interrupted
@@ -232,6 +234,9 @@ impl Rig {
             candidates: statistics.candidates as f64 / replans.max(1) as f64,
             plan_ms: Spread::of(&self.plan_ms),
             predict_ms: Spread::of(&self.predict_ms),
+            predict_context: per_step(self.predict_effort[0]),
+            predict_decoded: per_step(self.predict_effort[1]),
+            prediction_faults: statistics.prediction_faults,
             age_ms: Spread::of(&ages),
             realtime_factor: if wall_s > 0.0 { self.now.as_secs_f64() / wall_s } else { 0.0 },
             digest: format!("{:016x}", self.digest.clone().finalize()),
@@ -275,6 +280,9 @@ impl Rig {
             let report = self.planner.step(&request);
             self.plan_ms.push(report.times.total.as_secs_f64() * 1e3);
             self.predict_ms.push(report.times.predict.as_secs_f64() * 1e3);
+            let effort = report.prediction.effort;
+            self.predict_effort[0] += u64::from(effort.context);
+            self.predict_effort[1] += u64::from(effort.decoded);
             let done = match self.latency {
                 Latency::Fixed(seconds) => self.now.offset_by(seconds),
                 Latency::Measured => self.now + report.times.total,

@@ -153,6 +153,8 @@ impl RigSetup {
         }
         if let Latency::Fixed(seconds) = self.latency {
             self.core.autopilot.plan_budget_s = seconds.max(1e-3);
+            // The wall clock would decide what is driven.
+            self.predict.time_limit_s = f64::INFINITY;
         }
         let time_limit_s = self.time_limit_s.unwrap_or_else(|| self.default_time_limit_s());
 
@@ -217,6 +219,7 @@ impl RigSetup {
             events: VecDeque::new(),
             plan_ms: Vec::new(),
             predict_ms: Vec::new(),
+            predict_effort: [0; 2],
             reports: None,
             trace: Trace::default(),
             digest: DIGEST.digest(),
