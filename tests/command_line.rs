@@ -134,7 +134,9 @@ fn a_short_drive_reaches_its_goal_twice_in_the_very_same_way() {
     assert_ne!(slower.json()["digest"], json["digest"]);
     assert!(slower.json()["time_s"].as_f64() > json["time_s"].as_f64());
 
-    for name in ["drive.svg", "drive.png", "speed.svg", "speed.png", "summary.json"] {
+    let pictures = ["drive.svg", "drive.png", "speed.svg", "speed.png"];
+    let foreseen = ["prediction.svg", "prediction.png"];
+    for name in pictures.into_iter().chain(foreseen).chain(["summary.json"]) {
         let bytes = std::fs::read(folder.path().join("a").join(name)).unwrap();
         assert!(!bytes.is_empty(), "{name}");
     }
@@ -164,11 +166,33 @@ fn every_policy_and_predictor_drives() {
         let ran = cross(folder.path(), &["--json", "--out", policy, "--policy", policy]);
         assert_eq!((ran.code, &ran.json()["outcome"]), (0, &"goal".into()), "{policy}");
     }
-    for predictor in ["oracle", "random", "inverted"] {
+    for predictor in ["cnp", "none", "oracle", "random", "inverted"] {
         let options = ["--json", "--out", predictor, "--predictor", predictor, "--seed", "7"];
         let ran = cross(folder.path(), &options);
         assert_eq!((ran.code, &ran.json()["outcome"]), (0, &"goal".into()), "{predictor}");
     }
+}
+
+#[test]
+fn a_network_is_taken_by_its_file_or_refused_with_the_reason() {
+    let folder = folder();
+    room(folder.path(), |_, _| false);
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/params/cnp.onnx");
+    let by_file = cross(folder.path(), &["--json", "--out", "a", "--predictor", shipped]);
+    assert_eq!(by_file.code, 0, "{}", by_file.err);
+    let by_name = cross(folder.path(), &["--json", "--out", "b", "--predictor", "cnp"]);
+    assert_eq!(by_file.json()["digest"], by_name.json()["digest"]);
+    assert!(by_name.json()["predict_decoded"].as_f64().unwrap() > 0.0);
+    std::fs::write(folder.path().join("bad.onnx"), "not a network").unwrap();
+    for (file, reason) in [("bad.onnx", "no intact ONNX file"), ("none.onnx", "cannot be read")] {
+        let ran = cross(folder.path(), &["--predictor", file]);
+        assert_eq!(ran.code, 2, "{}", ran.err);
+        assert!(ran.err.contains(file) && ran.err.contains(reason), "{}", ran.err);
+    }
+    let set = ["--json", "--predictor", "cnp", "--set", "predict.model=none.onnx"];
+    let ran = cross(folder.path(), &set);
+    assert_eq!((ran.code, &ran.json()["prediction_faults"]), (0, &3.into()), "{}", ran.err);
+    assert!(ran.err.contains("driving without prediction"), "{}", ran.err);
 }
 
 #[test]

@@ -126,6 +126,7 @@ fn run(drive: &Drive, world: &World, policy: Policy, kind: PredictorKind) -> Sum
         let title = format!("{name} {} {}", policy.name(), kind.name());
         let record = report::DriveRecord {
             truth: outline(world),
+            snapshot: rig.snapshot().cloned(),
             title: title.clone(),
             summary: summary.clone(),
             trace: rig.trace().clone(),

@@ -4,9 +4,10 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::path::{Path, PathBuf};
 
 use apexd::frames::{Point, Pose};
-use apexd::map::{Cell, CellIndex, Grid};
+use apexd::map::{Cell, CellIndex, CellRect, Grid};
 use apexd::shell::report::{DriveRecord, outline, write};
 use apexd::sim::drive::{Outcome, PlanMark, Spread, Summary, Trace, TraceSample};
+use apexd::sim::rig::Snapshot;
 
 const ROWS: usize = 6;
 const CELLS: usize = 250;
@@ -108,6 +109,7 @@ fn made_up_drive(outcome: Outcome) -> DriveRecord {
         trace,
         grid,
         truth: outline(rows[1], rows[1], solid, |p| Point::from(p.coords * RESOLUTION_M)),
+        snapshot: None,
         start: Pose::new(2.5, 1.25, 0.0),
         goal: centre_line(end).0,
         goal_radius_m: 0.5,
@@ -172,10 +174,47 @@ fn a_drive_is_written_as_small_pictures_and_figures() {
     }
     assert_texts_on_page(&folder.join("drive.svg"));
     assert_texts_on_page(&folder.join("speed.svg"));
+    assert!(!folder.join("prediction.svg").exists());
     let json = std::fs::read_to_string(folder.join("summary.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!((&json["outcome"], &json["replans"]), (&"goal".into(), &json["replans"]));
     assert_eq!(json["plan_ms"]["p99"], 3.4);
+}
+
+#[test]
+fn what_was_foreseen_is_drawn_too() {
+    let mut record = made_up_drive(Outcome::Goal);
+    let window = CellRect { x0: -30, y0: 20, x1: 230, y1: 280 };
+    let cells = (window.y0..window.y1).flat_map(|y| (window.x0..window.x1).map(move |x| (x, y)));
+    let occupied = cells.map(|(x, y)| match record.grid.get(CellIndex::new(x, y)) {
+        Cell::Free => 0.0,
+        Cell::Occupied => 1.0,
+        Cell::Unknown => ((x + y) % 10) as f32 / 10.0,
+    });
+    let (position, heading_rad, _) = centre_line(130.0);
+    record.snapshot = Some(Snapshot {
+        t_s: 21.25,
+        pose: Pose { position, heading_rad },
+        window,
+        occupied: occupied.collect(),
+        grid: record.grid.clone().into(),
+        path: (130..136).map(|s| centre_line(f64::from(s)).0).collect(),
+        beyond: (137..150).map(|s| centre_line(f64::from(s)).0).collect(),
+    });
+    let folder = folder("foreseen");
+    let written = write(&folder, &record).unwrap();
+    assert!(written.iter().any(|path| path.ends_with("prediction.png")));
+    assert_texts_on_page(&folder.join("prediction.svg"));
+    let text = std::fs::read_to_string(folder.join("prediction.svg")).unwrap();
+    assert!(text.contains("Foreseen at 21.2 s") || text.contains("Foreseen at 21.3 s"));
+    // Without truth and without a way on.
+    record.truth = Vec::new();
+    if let Some(snapshot) = &mut record.snapshot {
+        snapshot.beyond.clear();
+        snapshot.occupied.fill(f32::NAN);
+    }
+    write(&folder, &record).unwrap();
+    assert_texts_on_page(&folder.join("prediction.svg"));
 }
 
 #[test]

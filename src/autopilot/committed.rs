@@ -49,7 +49,13 @@ impl Committed {
     /// Accepts a plan that starts on the current one at its own start time.
     pub fn schedule(&mut self, mut plan: Plan) {
         self.takes_over = plan.trajectory.start;
+        let before_m = plan.trajectory.last().path.s_m;
         plan.trajectory = with_way_behind(&self.newest().trajectory, plan.trajectory);
+        // The imagined part goes on counting where the executable one ends.
+        let behind_m = plan.trajectory.last().path.s_m - before_m;
+        for point in &mut plan.beyond.points {
+            point.s_m += behind_m;
+        }
         self.next = Some(Arc::new(plan));
     }
 
@@ -171,7 +177,13 @@ mod tests {
         committed.replace(old.clone());
         let over = begin.offset_by(0.2);
         let there = old.trajectory.at(over);
-        let new = stop(2, over, there.path.position.x, there.speed_mps, 3.0);
+        let mut new = stop(2, over, there.path.position.x, there.speed_mps, 3.0);
+        let imagined = new.trajectory.at_distance(3.0).path;
+        new.beyond.points.push(PathPoint {
+            s_m: 3.25,
+            position: imagined.position + crate::frames::Vector::new(0.25, 0.0),
+            ..imagined
+        });
         committed.schedule(new.clone());
         assert!(!committed.promote(over.offset_by(-1e-3)));
         assert!(committed.promote(over));
@@ -191,6 +203,8 @@ mod tests {
         assert!(behind > 0.35 && behind <= WAY_BEHIND_M, "{behind}");
         let ordered = |w: &[TrajectoryPoint]| w[1].t_s > w[0].t_s && w[1].path.s_m > w[0].path.s_m;
         assert!(driven.points.windows(2).all(ordered));
+        let gap_m = committed.current().beyond.points[0].s_m - driven.last().path.s_m;
+        assert!((gap_m - 0.25).abs() < 1e-9, "the imagined part starts {gap_m} m behind the end");
     }
 
     #[test]

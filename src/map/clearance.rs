@@ -2,9 +2,10 @@
 //!
 //! A distance transform knows distances between cell centres only. The certificate and the bubbles
 //! need the distance from an arbitrary point to the nearest blocking square itself (zero inside).
-//! The scan goes row by row outwards and stops at the nearest square found so far.
+//! Without a distance field the scan goes row by row outwards, with one column by column; either
+//! stops at the nearest square found so far.
 
-use super::{Blocking, Cell, DistanceField, Grid};
+use super::{Blocking, Cell, CellIndex, DistanceField, Grid};
 use crate::frames::Point;
 
 /// Distance in metres from a point of the map frame to the nearest blocking cell's square, zero
@@ -66,8 +67,62 @@ impl<'a> Clearance<'a> {
         let capped = centres >= self.field.cap_m() - slack;
         let most = centres + offset - 0.5 * resolution + slack;
         let most = if capped || centres == 0.0 { cap_m } else { most.max(0.0) };
-        let found = self.search().nearest_to_point(p, least.max(0.0), cap_m.min(most));
-        found.min(cap_m)
+        self.nearest_by_columns(p, cap_m.min(most)).min(cap_m)
+    }
+
+    /// The nearest square to a point inside the bounds, column by column outwards: the field knows
+    /// how far away each column's nearest one is. `cap_m` (no more than the field's) if none is
+    /// nearer.
+    fn nearest_by_columns(&self, p: Point, cap_m: f64) -> f64 {
+        let resolution = self.grid.resolution_m();
+        let bounds = self.grid.bounds();
+        let blocking = self.field.blocking();
+        let home = self.grid.cell_at(p);
+        let rows_away = self.field.rows_away(home.iy);
+        let gap_y = |iy: i32| {
+            let low = f64::from(iy) * resolution;
+            gap(p.y, low, low + resolution)
+        };
+        // To the edges of the own row; the nearer one leads.
+        let edge_m = gap_y(home.iy - 1).min(gap_y(home.iy + 1));
+        let mut best2 = cap_m * cap_m;
+        for away in 0.. {
+            let mut any = false;
+            for ix in [home.ix - away, home.ix + away] {
+                let low = f64::from(ix) * resolution;
+                let dx = gap(p.x, low, low + resolution);
+                if dx * dx >= best2 {
+                    continue;
+                }
+                any = true;
+                if ix < bounds.x0 || ix >= bounds.x1 {
+                    if blocking.blocks(Cell::Unknown) {
+                        best2 = best2.min(dx * dx);
+                    }
+                    continue;
+                }
+                let rows = i32::from(rows_away[(ix - bounds.x0) as usize]);
+                if rows == 0 {
+                    best2 = best2.min(dx * dx);
+                    continue;
+                }
+                let least = edge_m + f64::from(rows - 1) * resolution * (1.0 - 1e-12);
+                if dx * dx + least * least >= best2 {
+                    continue;
+                }
+                for iy in [home.iy - rows, home.iy + rows] {
+                    if blocking.blocks(self.grid.get(CellIndex::new(ix, iy))) {
+                        let dy = gap_y(iy);
+                        best2 = best2.min(dx * dx + dy * dy);
+                    }
+                }
+            }
+            if !any {
+                break;
+            }
+        }
+        // Capped values come back as given.
+        if best2 >= cap_m * cap_m { cap_m } else { best2.sqrt() }
     }
 
     /// A lower bound of [`at`](Self::at) in metres, at most 1.42 cells below it, from one look-up.
@@ -262,7 +317,7 @@ fn segment_to_box(a: Point, b: Point, low: Point, high: Point) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::map::{CellIndex, CellRect};
+    use crate::map::CellRect;
     use proptest::prelude::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;

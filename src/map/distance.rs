@@ -92,6 +92,14 @@ impl DistanceField {
         &self.values
     }
 
+    /// For each cell of a row inside the bounds: how many rows away the nearest blocking cell of the
+    /// same column is (it may be above or below); at most the cap, rounded up, which also stands
+    /// for farther ones. Whatever lies outside the bounds is unknown.
+    pub(super) fn rows_away(&self, iy: i32) -> &[u8] {
+        let start = self.offset(self.bounds.x0, iy);
+        &self.columns[start..start + self.bounds.width()]
+    }
+
     /// Distance in metres from a cell's centre to the nearest blocking cell's centre, at most the
     /// cap. Outside the bounds: zero if unknown cells block, else the cap (which is right if no
     /// occupied cell lies within the cap of the bounds, as in the grid of a

@@ -81,6 +81,7 @@ sections! {
     manoeuvre: crate::plan::search::ManoeuvreParams,
     smooth: crate::plan::smooth::SmoothParams,
     speed: crate::plan::speed::SpeedParams,
+    foreseen: crate::plan::ForeseenParams,
     certify: crate::plan::certify::CertifyParams,
     control: crate::control::ControlParams,
     guard: crate::guard::GuardParams,

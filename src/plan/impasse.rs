@@ -6,29 +6,48 @@
 //! planner without memory proposes the same way into such a place for ever, and the car stands in
 //! front of it.
 //!
-//! The rule: when the car stands and [`PATIENCE`] planning steps in a row give no plan, the place
-//! where the guide first leaves proven room, if it is within [`NEAR_M`], is closed to the search:
-//! a disc around it. A standing car sees the same in every scan, so waiting longer shows nothing
-//! new. The closed place opens again as soon as its middle has been proven to be room (seen from
-//! elsewhere), and with a new goal. If closed places leave no way at all, or nothing near can be
-//! closed, they are all opened and the car is *bold* until it has got [`BOLD_M`] away: it may then
-//! stop where it cannot turn round. A bold car that still gets no plan although the way ahead has
-//! room (it cannot turn into it, or no shape is found) has the place a little way ahead closed
-//! instead. So a closed place never makes a goal unreachable.
+//! A car without reverse gear also does not get out of every place that it gets into. It stops only
+//! where it can turn back onto its tracks in proven room, unless nothing else is left.
+//!
+//! The rule: when the car stands and [`PATIENCE`] planning steps in a row give no plan, something is
+//! done. A standing car sees the same in every scan, so waiting longer shows nothing new.
+//!
+//! - The place that keeps the car from following its guide is closed to the search: a disc around
+//!   it. It opens again as soon as its middle has been proven to be room (seen from elsewhere), and
+//!   with a new goal. So the next way is tried.
+//! - If the next way is much longer, or there is none, every place is opened and the car plucks up
+//!   [`Courage`]: it then stops where there may be room to turn back, and if that does not help
+//!   either, where it gets on ahead. Courage ends with a proven stop [`COURAGE_M`] away. So a closed
+//!   place never makes a goal unreachable.
+//!
+//! After [`LASTING`] planning steps in a row without a plan the impasse is *lasting*: whatever is
+//! closed, the car gets on in no direction ahead, and turning round is worth its time.
 
 use crate::frames::Point;
 use crate::map::{CellRect, Grid};
 
 /// Planning steps without a plan until a place is closed.
 const PATIENCE: u32 = 3;
-/// Farther ahead much may change before the car gets there, metres.
-const NEAR_M: f64 = 3.0;
+/// Planning steps without a plan until an impasse is lasting.
+const LASTING: u32 = 4 * PATIENCE;
 /// Radius of a closed disc, metres.
 const CLOSED_M: f64 = 0.5;
 /// Closed discs leave this much room around the car, so that it can leave, metres.
 const CAR_ROOM_M: f64 = 0.15;
-/// Boldness ends this far from where it began, metres.
-const BOLD_M: f64 = 2.0;
+/// Courage ends this far from where it was plucked up, metres.
+const COURAGE_M: f64 = 2.0;
+
+/// What a plan may rely on for its stop.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Courage {
+    /// On room that is proven.
+    #[default]
+    Proven,
+    /// Also on room for turning back that is not known to be taken.
+    Hopeful,
+    /// Also on there being some way ahead.
+    Bold,
+}
 
 /// A closed disc.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,24 +64,30 @@ struct Place {
 #[derive(Clone, Debug, Default)]
 pub struct Impasses {
     goal: Option<Point>,
-    failed_steps: u32,
+    /// Steps in a row without a plan.
+    standing_steps: u32,
     closed: Vec<Place>,
-    bold_from: Option<Point>,
+    courage: Courage,
+    /// Where it was plucked up.
+    since: Point,
 }
 
 impl Impasses {
-    /// To be called first in every step: forgets everything with a new goal, and boldness with
-    /// distance.
-    pub fn begin(&mut self, goal: Point, car: Point) {
+    /// To be called first in every step: forgets everything with a new goal.
+    pub fn begin(&mut self, goal: Point) {
         if self.goal != Some(goal) {
             *self = Self { goal: Some(goal), ..Self::default() };
         }
-        self.bold_from = self.bold_from.filter(|from| (car - from).norm() < BOLD_M);
     }
 
-    /// Whether the car may stop where it cannot turn round.
-    pub const fn is_bold(&self) -> bool {
-        self.bold_from.is_some()
+    /// What a plan may rely on for its stop.
+    pub const fn courage(&self) -> Courage {
+        self.courage
+    }
+
+    /// Whether the car has stood for long without a plan.
+    pub const fn is_lasting(&self) -> bool {
+        self.standing_steps >= LASTING
     }
 
     /// Closes cells to the search, and opens the places whose middle is room by now. `tight` marks
@@ -91,41 +116,58 @@ impl Impasses {
         }
     }
 
-    /// The step gave a plan, or the car is moving.
-    pub const fn record_progress(&mut self) {
-        self.failed_steps = 0;
-    }
-
-    /// The car stands at `car` and the step gave no plan; `ahead` is where the guide first leaves
-    /// proven room, `onward` where it is a little way ahead.
-    pub fn record_failure(&mut self, car: Point, ahead: Option<Point>, onward: Option<Point>) {
-        self.failed_steps += 1;
-        if self.failed_steps < PATIENCE {
-            return;
-        }
-        self.failed_steps = 0;
-        let away = |p: Point| (p, (p - car).norm());
-        let onward = onward.filter(|_| self.is_bold()).map(away);
-        let near = ahead.map(away).filter(|(_, d)| *d <= NEAR_M).or(onward);
-        let radius = |distance: f64| CLOSED_M.min(distance - CAR_ROOM_M);
-        match near.filter(|(_, distance)| radius(*distance) > 0.0) {
-            Some((centre, distance)) => {
-                let radius_m = radius(distance);
-                self.closed.push(Place { centre, radius_m, fresh: true, unproven: false });
-            }
-            None => {
-                self.give_up(car);
-            }
+    /// The step gave a plan that stops where the car can turn back; courage ends some way from
+    /// where it was plucked up.
+    pub fn record_progress(&mut self, car: Point) {
+        self.standing_steps = 0;
+        if (car - self.since).norm() >= COURAGE_M {
+            self.courage = Courage::Proven;
         }
     }
 
-    /// The search found no way. Opens every closed place; says whether there was one, so that the
-    /// search is worth repeating.
-    pub fn give_up(&mut self, car: Point) -> bool {
-        self.bold_from = Some(car);
-        let any = !self.closed.is_empty();
+    /// The step gave another plan, or the car is moving.
+    pub const fn record_gamble(&mut self) {
+        self.standing_steps = 0;
+    }
+
+    /// The car stands and the step gave no plan; says whether it is time to do something about it.
+    pub const fn count_failure(&mut self) -> bool {
+        self.standing_steps += 1;
+        self.standing_steps.is_multiple_of(PATIENCE)
+    }
+
+    /// Closes a place for a car that stands at `car`, if the disc leaves it some room.
+    pub fn close(&mut self, car: Point, centre: Point) -> bool {
+        let radius_m = CLOSED_M.min((centre - car).norm() - CAR_ROOM_M);
+        if radius_m > 0.0 {
+            self.closed.push(Place { centre, radius_m, fresh: true, unproven: false });
+        }
+        radius_m > 0.0
+    }
+
+    /// Opens every place.
+    pub fn open(&mut self) {
         self.closed.clear();
+    }
+
+    /// The search found no way. If that is for closed places, opens them all, takes courage, and
+    /// says so: the search is worth repeating.
+    pub fn blame_closed(&mut self, car: Point) -> bool {
+        let any = !self.closed.is_empty();
+        if any {
+            self.take_courage(car);
+        }
         any
+    }
+
+    /// Opens every place and relies on less from here on.
+    pub fn take_courage(&mut self, car: Point) {
+        self.courage = match self.courage {
+            Courage::Proven => Courage::Hopeful,
+            Courage::Hopeful | Courage::Bold => Courage::Bold,
+        };
+        self.since = car;
+        self.open();
     }
 }
 
@@ -160,23 +202,32 @@ mod tests {
             .collect()
     }
 
-    fn fail(impasses: &mut Impasses, ahead: Option<Point>) {
-        for _ in 0..PATIENCE {
-            impasses.record_failure(CAR, ahead, None);
+    #[test]
+    fn something_is_to_be_done_only_after_several_failures_in_a_row() {
+        let mut impasses = Impasses::default();
+        impasses.begin(GOAL);
+        for _ in 1..PATIENCE {
+            assert!(!impasses.count_failure());
         }
+        impasses.record_progress(CAR);
+        assert!(!impasses.count_failure());
+        impasses.record_progress(CAR);
+        for round in 0..LASTING / PATIENCE {
+            assert!(!impasses.is_lasting(), "{round}");
+            for i in 1..=PATIENCE {
+                assert_eq!(impasses.count_failure(), i == PATIENCE);
+            }
+        }
+        assert!(impasses.is_lasting());
+        impasses.record_progress(CAR);
+        assert!(!impasses.is_lasting());
     }
 
     #[test]
-    fn a_place_is_closed_only_after_several_failures_in_a_row() {
+    fn a_closed_place_is_a_disc() {
         let (grid, mut impasses) = (grid(), Impasses::default());
-        impasses.begin(GOAL, CAR);
-        for _ in 1..PATIENCE {
-            impasses.record_failure(CAR, Some(HOLE), None);
-        }
-        impasses.record_progress();
-        impasses.record_failure(CAR, Some(HOLE), None);
-        assert!(closed(&mut impasses, &grid, true).is_empty());
-        fail(&mut impasses, Some(HOLE));
+        impasses.begin(GOAL);
+        assert!(impasses.close(CAR, HOLE));
         let cells = closed(&mut impasses, &grid, true);
         assert!(cells.len() > 30, "{}", cells.len());
         assert!(cells.iter().all(|p| (p - HOLE).norm() <= CLOSED_M));
@@ -185,8 +236,8 @@ mod tests {
     #[test]
     fn the_car_itself_is_never_inside_a_closed_place() {
         let (grid, mut impasses) = (grid(), Impasses::default());
-        impasses.begin(GOAL, CAR);
-        fail(&mut impasses, Some(Point::new(0.35, 0.0)));
+        impasses.begin(GOAL);
+        assert!(impasses.close(CAR, Point::new(0.35, 0.0)));
         let cells = closed(&mut impasses, &grid, true);
         assert!(!cells.is_empty());
         assert!(cells.iter().all(|p| (p - CAR).norm() >= CAR_ROOM_M - 1e-9), "{cells:?}");
@@ -195,8 +246,8 @@ mod tests {
     #[test]
     fn what_turns_out_to_be_room_opens_again() {
         let (grid, mut impasses) = (grid(), Impasses::default());
-        impasses.begin(GOAL, CAR);
-        fail(&mut impasses, Some(HOLE));
+        impasses.begin(GOAL);
+        assert!(impasses.close(CAR, HOLE));
         assert!(!closed(&mut impasses, &grid, true).is_empty());
         assert!(closed(&mut impasses, &grid, false).is_empty());
         assert!(closed(&mut impasses, &grid, true).is_empty(), "it stays open");
@@ -205,48 +256,46 @@ mod tests {
     #[test]
     fn a_new_goal_opens_everything() {
         let (grid, mut impasses) = (grid(), Impasses::default());
-        impasses.begin(GOAL, CAR);
-        fail(&mut impasses, Some(HOLE));
-        impasses.begin(GOAL, CAR);
+        impasses.begin(GOAL);
+        assert!(impasses.close(CAR, HOLE));
+        impasses.begin(GOAL);
         assert!(!closed(&mut impasses, &grid, true).is_empty());
-        impasses.begin(HOLE, CAR);
+        impasses.begin(HOLE);
         assert!(closed(&mut impasses, &grid, true).is_empty());
     }
 
     #[test]
-    fn with_nothing_near_to_close_the_car_is_bold_until_it_has_got_away() {
-        let mut impasses = Impasses::default();
-        impasses.begin(GOAL, CAR);
-        fail(&mut impasses, Some(Point::new(NEAR_M + 0.1, 0.0)));
-        assert!(impasses.is_bold());
-        impasses.begin(GOAL, Point::new(BOLD_M - 0.1, 0.0));
-        assert!(impasses.is_bold());
-        impasses.begin(GOAL, Point::new(BOLD_M + 0.1, 0.0));
-        assert!(!impasses.is_bold());
+    fn a_place_too_near_to_leave_the_car_room_is_not_closed() {
+        let (grid, mut impasses) = (grid(), Impasses::default());
+        assert!(!impasses.close(CAR, Point::new(0.1, 0.0)));
+        assert!(closed(&mut impasses, &grid, true).is_empty());
     }
 
     #[test]
-    fn a_bold_car_without_a_plan_has_the_way_ahead_closed() {
-        let (grid, mut impasses) = (grid(), Impasses::default());
-        impasses.begin(GOAL, CAR);
-        for _ in 0..PATIENCE {
-            impasses.record_failure(CAR, None, Some(HOLE));
+    fn courage_grows_and_ends_with_a_proven_stop_some_way_off() {
+        let mut impasses = Impasses::default();
+        impasses.begin(GOAL);
+        for courage in [Courage::Proven, Courage::Hopeful, Courage::Bold] {
+            assert_eq!(impasses.courage(), courage);
+            impasses.take_courage(CAR);
         }
-        assert!(impasses.is_bold() && closed(&mut impasses, &grid, false).is_empty());
-        for _ in 0..PATIENCE {
-            impasses.record_failure(CAR, None, Some(HOLE));
-        }
-        assert!(!closed(&mut impasses, &grid, false).is_empty());
+        assert_eq!(impasses.courage(), Courage::Bold);
+        impasses.record_progress(Point::new(COURAGE_M - 0.1, 0.0));
+        impasses.record_gamble();
+        assert_eq!(impasses.courage(), Courage::Bold);
+        impasses.record_progress(Point::new(COURAGE_M + 0.1, 0.0));
+        assert_eq!(impasses.courage(), Courage::Proven);
     }
 
     #[test]
     fn closed_places_never_make_a_goal_unreachable() {
         let (grid, mut impasses) = (grid(), Impasses::default());
-        impasses.begin(GOAL, CAR);
-        fail(&mut impasses, Some(HOLE));
-        assert!(impasses.give_up(CAR), "the search is worth repeating");
+        impasses.begin(GOAL);
+        assert!(!impasses.blame_closed(CAR), "nothing is closed");
+        assert_eq!(impasses.courage(), Courage::Proven);
+        assert!(impasses.close(CAR, HOLE));
+        assert!(impasses.blame_closed(CAR), "the search is worth repeating");
         assert!(closed(&mut impasses, &grid, true).is_empty());
-        assert!(impasses.is_bold());
-        assert!(!impasses.give_up(CAR));
+        assert_eq!(impasses.courage(), Courage::Hopeful);
     }
 }

@@ -3,6 +3,7 @@
 
 pub mod bubbles;
 pub mod certify;
+mod foreseen;
 mod impasse;
 mod path;
 mod planner;
@@ -14,6 +15,7 @@ pub mod speed;
 #[cfg(test)]
 mod test_paths;
 
+pub use foreseen::ForeseenParams;
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
 pub use planner::{
     PlanParams, Planner, PlannerParams, Policy, SHORTEST_PLAN_M, StopRule, Stopwatch,

@@ -13,9 +13,10 @@
 use super::bubbles::ClearanceField;
 use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
-    clear_length_m, last_escapable, last_turnable,
+    clear_length_m, last_escapable,
 };
-use super::impasse::Impasses;
+use super::foreseen::{Foreseen, ForeseenParams, ShapeField};
+use super::impasse::{Courage, Impasses};
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
     Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, Room, SearchError,
@@ -30,6 +31,8 @@ use crate::predict::{OccupancyView, Predictor, Scene, Supervised};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
 use crate::{choices, tunables};
+
+mod turning;
 
 choices! {
     /// How the way is chosen.
@@ -52,7 +55,7 @@ choices! {
         Optimistic = "optimistic",
         /// The same with all unknown space taken for occupied.
         Seen = "seen",
-        /// Where the car can turn round in space known to be free.
+        /// Where the car can turn back onto the way that it came by, in space known to be free.
         TurnRound = "turn-round",
     }
 }
@@ -65,6 +68,10 @@ tunables! {
         /// Clearance granted to the path's shape beside unknown space, beyond what the certificate
         /// asks for; the certificate then ends the executable part before it.
         unknown_room_m: f64 = 0.3, live, in 0.0..=2.0, "m";
+        /// Kept from walls, where there is room, in the path's shape through space that is foreseen,
+        /// beyond what the certificate asks for: a car farther from a corner looks round it earlier,
+        /// and need not slow down for what it cannot see yet.
+        wall_room_m: f64 = 0.1, live, in 0.0..=1.0, "m";
         /// What a stop must leave room for.
         stop_rule: StopRule = StopRule::TurnRound, live, one of;
         /// Plans end this far inside the goal disc.
@@ -89,6 +96,8 @@ pub struct PlannerParams {
     pub speed: SpeedParams,
     /// Certificate.
     pub certify: CertifyParams,
+    /// What of a prediction shapes rely on.
+    pub foreseen: ForeseenParams,
 }
 
 /// Reads the wall clock, for statistics only; a constant makes the planner a pure function.
@@ -112,6 +121,10 @@ const PLENTY_M: f64 = 8.0;
 /// Shapes keep this much more clearance than the certificate asks for: it measures chords and their
 /// bulge where smoothing looks at samples.
 const SHAPE_SLACK_M: f64 = 0.005;
+/// How often a guide is sought anew because obstacles are foreseen in its way.
+const GUIDES_MAX: usize = 4;
+/// A shape ends no nearer than this where nothing is known or foreseen, metres.
+const FORESEEN_LEAST_M: f64 = 4.0;
 /// A plan whose executable part is shorter than this is no progress.
 pub const SHORTEST_PLAN_M: f64 = 0.02;
 
@@ -122,32 +135,17 @@ pub struct Planner {
     clock: Stopwatch,
     occupied: DistanceField,
     blocked: DistanceField,
+    foreseen: Foreseen,
     lethal: Vec<bool>,
     tight: Vec<bool>,
     impasses: Impasses,
+    tracks: turning::Tracks,
     guide: GuideSearch,
     manoeuvre: ManoeuvreSearch,
     frontiers: FrontierFinder,
     smoother: Smoother,
     profiler: SpeedProfiler,
     first: bool,
-}
-
-/// Clearance to occupied cells, and to unknown ones as far as that leaves some room.
-struct ShapeField<'a> {
-    occupied: Clearance<'a>,
-    blocked: Clearance<'a>,
-    unknown_floor_m: f64,
-}
-
-impl ClearanceField for ShapeField<'_> {
-    fn clearance_m(&self, p: Point) -> f64 {
-        let blocked = self.blocked.at(p);
-        if blocked >= self.unknown_floor_m {
-            return blocked;
-        }
-        self.occupied.at(p).min(self.unknown_floor_m)
-    }
 }
 
 impl Planning for Planner {
@@ -179,9 +177,11 @@ impl Planner {
             clock,
             occupied: DistanceField::new(Blocking::Occupied, FIELD_CAP_M),
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, FIELD_CAP_M),
+            foreseen: Foreseen::new(FIELD_CAP_M),
             lethal: Vec::new(),
             tight: Vec::new(),
             impasses: Impasses::default(),
+            tracks: turning::Tracks::default(),
             guide: GuideSearch::new(),
             manoeuvre: ManoeuvreSearch::new(),
             frontiers: FrontierFinder::default(),
@@ -217,7 +217,8 @@ impl Planner {
         candidates: &mut u32,
     ) -> Verdict {
         let mut lap = Lap::new(&self.clock);
-        self.impasses.begin(request.goal.position, request.scan_pose.position);
+        self.impasses.begin(request.goal.position);
+        self.tracks.follow(request);
         self.update_fields(request);
         times.field = lap.take(&self.clock);
         let scene = Scene {
@@ -233,10 +234,10 @@ impl Planner {
         if self.nearly_there(request, &here) {
             return Verdict::Keep;
         }
-        let mut found = self.guide(request, &here, times);
-        if found.is_err() && self.impasses.give_up(here.point.position) {
+        let mut found = self.guide_foreseen(request, &here, times);
+        if found.is_err() && self.impasses.blame_closed(here.point.position) {
             self.set_masks(request);
-            found = self.guide(request, &here, times);
+            found = self.guide_foreseen(request, &here, times);
         }
         let guide = match found {
             Ok(guide) => guide,
@@ -246,16 +247,22 @@ impl Planner {
         let verdict = self.along_guide(request, branches, &guide, times, candidates);
         match &verdict {
             Verdict::Rejected(_) if here.speed_mps <= 0.0 => {
-                let blocked = Clearance::new(&request.grid, &self.blocked);
-                let keep_m = self.keep_m();
-                let ahead = guide.points.iter().skip(1);
-                let ahead = ahead.copied().find(|p| blocked.at_up_to(*p, keep_m) < keep_m);
-                const ONWARD_M: f64 = 1.0;
-                let from = here.point.position;
-                let onward = guide.points.iter().copied().find(|p| (p - from).norm() >= ONWARD_M);
-                self.impasses.record_failure(from, ahead, onward);
+                if self.impasses.count_failure() {
+                    if let Some(plan) = self.turn_back(request, &here, &guide, times) {
+                        return Verdict::Plan(Box::new(plan));
+                    }
+                    self.try_another_way(request, &here, &guide, times);
+                }
             }
-            _ => self.impasses.record_progress(),
+            Verdict::Plan(plan) => {
+                let proven = || self.is_stop_proven(&request.grid, plan);
+                if self.impasses.courage() == Courage::Proven || proven() {
+                    self.impasses.record_progress(here.point.position);
+                } else {
+                    self.impasses.record_gamble();
+                }
+            }
+            _ => self.impasses.record_gamble(),
         }
         verdict
     }
@@ -337,6 +344,7 @@ impl Planner {
     fn update_fields(&mut self, request: &PlanRequest) {
         let changed = if self.first { request.grid.bounds() } else { request.changed };
         self.first = false;
+        self.foreseen.begin(&request.grid, changed);
         self.occupied.update(&request.grid, changed);
         self.blocked.update(&request.grid, changed);
         self.set_masks(request);
@@ -386,6 +394,57 @@ impl Planner {
             branches.push(at(stop.path.s_m, 0.0));
         }
         branches
+    }
+
+    /// Takes in what is foreseen beside a way.
+    fn look_beside(&mut self, way: impl Iterator<Item = Point>, times: &mut StepTimes) {
+        let mut lap = Lap::new(&self.clock);
+        let predicted = self.predictor.spent();
+        let mut view = self.predictor.view(&self.clock);
+        let horizon_m = self.params.smooth.horizon_m;
+        self.foreseen.look(&self.params.foreseen, way, horizon_m, &mut view);
+        let predicted = self.predictor.spent().saturating_sub(predicted);
+        times.field += lap.take(&self.clock).saturating_sub(predicted);
+    }
+
+    /// The guide from where the new plan takes over. If there is one, it keeps its distance from
+    /// obstacles that are foreseen beside it, as its shape will have to.
+    fn guide_foreseen(
+        &mut self,
+        request: &PlanRequest,
+        branch: &Branch,
+        times: &mut StepTimes,
+    ) -> Result<Guide, GuideFailure> {
+        if self.params.plan.policy != Policy::MapPredictive {
+            return self.guide(request, branch, times);
+        }
+        let least = (self.keep_m() + 0.5 * request.grid.resolution_m()) as f32;
+        let known = std::mem::take(&mut self.lethal);
+        let plan = &request.committed;
+        let under_way = plan.trajectory.points.iter().map(|p| p.path);
+        let under_way = under_way.chain(plan.beyond.points.iter().copied());
+        let ahead = under_way.skip_while(|p| p.s_m < branch.s_m).map(|p| p.position);
+        self.look_beside(ahead, times);
+        let mut found = None;
+        for _ in 0..GUIDES_MAX {
+            self.lethal.clone_from(&known);
+            self.foreseen.mask(&request.grid, least, &mut self.lethal);
+            let Ok(guide) = self.guide(request, branch, times) else { break };
+            self.look_beside(guide.points.iter().copied(), times);
+            let walls = self.foreseen.occupied();
+            let keep_m = self.keep_m();
+            let fits =
+                guide.points.iter().skip(1).all(|p| walls.at_up_to(*p, keep_m) >= 0.8 * keep_m);
+            if fits || self.foreseen.is_silent() {
+                found = Some(guide);
+                break;
+            }
+        }
+        self.lethal = known;
+        match found {
+            Some(guide) => Ok(guide),
+            None => self.guide(request, branch, times),
+        }
     }
 
     fn guide(
@@ -449,7 +508,9 @@ impl Planner {
         let field = ShapeField {
             occupied: Clearance::new(grid, &self.occupied),
             blocked: Clearance::new(grid, &self.blocked),
-            unknown_floor_m: keep_m + self.params.plan.unknown_room_m,
+            keep_m,
+            unknown_room_m: self.params.plan.unknown_room_m,
+            wall_room_m: 0.0,
         };
         for p in guide.points.iter_mut().skip(1) {
             let clearance_m = field.clearance_m(*p);
@@ -623,16 +684,23 @@ impl Planner {
     ) -> Result<Candidate, Rejection> {
         let mut lap = Lap::new(&self.clock);
         let keep_m = self.keep_m() + SHAPE_SLACK_M;
-        let field = ShapeField {
-            occupied: Clearance::new(&request.grid, &self.occupied),
-            blocked: Clearance::new(&request.grid, &self.blocked),
-            unknown_floor_m: keep_m + self.params.plan.unknown_room_m,
-        };
         let vehicle = &self.params.vehicle;
         // A car that stands may turn its wheels before it goes; what is joined to the committed path
         // must continue its curvature.
         let takes_over_m = request.committed.trajectory.at(request.takes_over).path.s_m;
         let moving = branch.speed_mps > 0.0 || branch.s_m > takes_over_m;
+        let mut smooth = self.params.smooth.clone();
+        if !self.foreseen.is_silent() {
+            // Beyond what is foreseen the guide keeps no distance from anything.
+            let mut along_m = 0.0;
+            let open = way.points.windows(2).find(|pair| {
+                along_m += (pair[1] - pair[0]).norm();
+                along_m > FORESEEN_LEAST_M && self.foreseen.is_open(pair[1])
+            });
+            if open.is_some() {
+                smooth.horizon_m = smooth.horizon_m.min(along_m);
+            }
+        }
         let end_radius_m = if way.reaches_goal {
             (request.goal.radius_m - self.params.plan.goal_depth_m).max(0.0)
         } else {
@@ -646,24 +714,41 @@ impl Planner {
                 ahead.map(|p| (p.s_m - branch.s_m, p.curvature_pm)).collect()
             }
         };
-        let smoothed = self.smoother.smooth(
-            &self.params.smooth,
-            &field,
-            &SmoothRequest {
-                guide: &way.points,
-                warm: way.warm,
-                start: branch.pose(),
-                start_curvature_pm: moving.then_some(branch.point.curvature_pm),
-                held: &held,
-                start_speed_mps: branch.speed_mps,
-                end_radius_m,
-                radius_m: keep_m,
-                curvature_limit_pm: vehicle.curvature_limit_pm(),
-                acceleration_limit_mps2: self.params.speed.friction_use
-                    * vehicle.acceleration_limit_mps2(),
-                speed_max_mps: self.params.speed.speed_max_mps,
-            },
-        );
+        let task = SmoothRequest {
+            guide: &way.points,
+            warm: way.warm,
+            start: branch.pose(),
+            start_curvature_pm: moving.then_some(branch.point.curvature_pm),
+            held: &held,
+            start_speed_mps: branch.speed_mps,
+            end_radius_m,
+            radius_m: keep_m,
+            curvature_limit_pm: vehicle.curvature_limit_pm(),
+            acceleration_limit_mps2: self.params.speed.friction_use
+                * vehicle.acceleration_limit_mps2(),
+            speed_max_mps: self.params.speed.speed_max_mps,
+        };
+        let field = |occupied, blocked, wall_room_m| ShapeField {
+            occupied,
+            blocked,
+            keep_m,
+            unknown_room_m: self.params.plan.unknown_room_m,
+            wall_room_m,
+        };
+        // Where nothing is foreseen, what lies behind a corner keeps shapes off it already.
+        let silent = self.foreseen.is_silent();
+        let wall_room_m = if silent { 0.0 } else { self.params.plan.wall_room_m };
+        let foreseen = field(self.foreseen.occupied(), self.foreseen.blocked(), wall_room_m);
+        let mut smoothed = self.smoother.smooth(&smooth, &foreseen, &task);
+        if smoothed.is_err() && !silent {
+            // What is foreseen may be wrong.
+            let known = field(
+                Clearance::new(&request.grid, &self.occupied),
+                Clearance::new(&request.grid, &self.blocked),
+                0.0,
+            );
+            smoothed = self.smoother.smooth(&self.params.smooth, &known, &task);
+        }
         let (mut path, complete) = match (smoothed, way.manoeuvre) {
             (Ok(smoothed), _) => (smoothed.path, smoothed.complete),
             // The manoeuvre can be driven as it is.
@@ -759,10 +844,17 @@ impl Planner {
         let stop = match self.params.plan.stop_rule {
             StopRule::Optimistic => optimistic(),
             StopRule::Seen => last_escapable(grid, points, clear_m, &seen),
-            StopRule::TurnRound => last_turnable(grid, points, clear_m, &seen),
+            StopRule::TurnRound => {
+                self.last_turnable(grid, points, clear_m, Surfaces::OccupiedAndUnknown)
+            }
         };
-        stop.filter(|s_m| *s_m >= SHORTEST_PLAN_M)
-            .or_else(|| self.impasses.is_bold().then(optimistic).flatten())
+        let courage = self.impasses.courage();
+        let hoped = || self.last_turnable(grid, points, clear_m, Surfaces::Occupied);
+        let some_way = || last_escapable(grid, points, clear_m, &seen);
+        let progress = |s_m: &f64| *s_m >= SHORTEST_PLAN_M;
+        stop.filter(progress)
+            .or_else(|| (courage >= Courage::Hopeful).then(hoped).flatten().filter(progress))
+            .or_else(|| (courage >= Courage::Bold).then(some_way).flatten())
             .unwrap_or(0.0)
     }
 
@@ -945,14 +1037,36 @@ fn rest_of(points: impl Iterator<Item = PathPoint>, from: PathPoint) -> Option<P
     (rest.len() > 1).then_some(Path { points: rest })
 }
 
-/// The committed path from `from` to the branch point, then `path`; arc length from zero.
+/// The committed path from `from` to the branch point, then `path`; arc length from zero. Where the
+/// two do not bend alike there (a manoeuvre as it was found), the curvature changes linearly over
+/// two millimetres.
 fn join(committed: &Trajectory, from: PathPoint, branch: &Branch, path: &Path) -> Path {
+    const HALF_M: f64 = 1e-3;
+    const ALIKE_PM: f64 = 1e-3;
+    let first = path.points[0];
+    let alike = (first.curvature_pm - branch.point.curvature_pm).abs() < ALIKE_PM;
+    let gap_m = if alike { 0.0 } else { HALF_M };
     let before = committed.points.iter().map(|p| p.path);
-    let before = before.filter(|p| p.s_m < branch.s_m - SHORTEST_EDGE_M);
+    let before = before.filter(|p| p.s_m < branch.s_m - gap_m - SHORTEST_EDGE_M);
     let mut joined = rest_of(before, from)
         .unwrap_or_else(|| Path { points: vec![PathPoint { s_m: 0.0, ..from }] });
     let length_m = branch.s_m - from.s_m;
-    joined.points.extend(path.points.iter().map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
+    let mut points = path.points.iter();
+    if !alike && length_m > gap_m + SHORTEST_EDGE_M {
+        let last = committed.at_distance(branch.s_m - gap_m).path;
+        joined.points.push(PathPoint { s_m: length_m - gap_m, ..last });
+        points.next();
+        let turn = Pose { position: first.position, heading_rad: first.heading_rad };
+        let turn = turn.along_arc(gap_m, first.curvature_pm * gap_m);
+        joined.points.push(PathPoint {
+            s_m: length_m + gap_m,
+            position: turn.position,
+            heading_rad: turn.heading_rad,
+            curvature_pm: first.curvature_pm,
+        });
+    }
+    let beyond = points.filter(|p| alike || p.s_m > gap_m + SHORTEST_EDGE_M);
+    joined.points.extend(beyond.map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
     joined
 }
 

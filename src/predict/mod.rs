@@ -4,6 +4,7 @@
 //! `plan::certify` have no access to it.
 
 mod cnp;
+mod crop_network;
 mod document;
 mod fault;
 pub mod lattice;
@@ -19,6 +20,7 @@ mod test_networks;
 mod trust;
 
 pub use cnp::CnpPredictor;
+pub use crop_network::CropNetwork;
 pub use fault::PredictFault;
 pub use metadata::Metadata;
 pub use model_error::ModelError;
@@ -76,7 +78,8 @@ pub struct Scene<'a> {
 ///
 /// Once per step [`observe`](Self::observe) takes in the scene (a model encodes it there); the
 /// planner then asks the predictor, as an [`OccupancyView`], for the points that its search comes
-/// across, some tens at a time and none twice in a step (a model decodes them there).
+/// across, some tens at a time, and for those beside the way, some hundreds at a time (a model
+/// decodes them there, and remembers them for the step).
 pub trait Predictor: OccupancyView + Send {
     /// Takes in the newest scene. Later questions are about it.
     fn observe(&mut self, scene: &Scene<'_>);

@@ -95,10 +95,17 @@ pub struct SilArgs {
     /// How to plan [parameter plan.policy].
     #[arg(long, value_parser = policy(), help_heading = "Planning")]
     pub policy: Option<Policy>,
-    /// What the planner is told about space that it has not seen; none of them can make a drive
-    /// unsafe [parameter predict.kind].
-    #[arg(long, value_parser = predictor(), help_heading = "Planning")]
-    pub predictor: Option<PredictorKind>,
+    /// What the planner is told about space that it has not seen: `cnp` (the trained network that
+    /// ships), `oracle` (the truth), `none`, `random`, `inverted` (the opposite of the truth), or a
+    /// network of your own. None of them can make a drive unsafe [parameters predict.kind,
+    /// predict.model].
+    #[arg(
+        long,
+        value_name = "NAME|FILE.onnx",
+        value_parser = predictor,
+        help_heading = "Planning"
+    )]
+    pub predictor: Option<PredictorChoice>,
     /// Largest speed, m/s [parameter speed.speed_max_mps].
     #[arg(long, value_name = "M/S", value_parser = positive, help_heading = "Planning")]
     pub speed_max: Option<f64>,
@@ -130,6 +137,11 @@ pub struct SilArgs {
     #[arg(long, help_heading = "Simulation")]
     pub realtime: bool,
 
+    /// Draw what the planner foresaw this many seconds after the first motion. If not given, halfway
+    /// through the drive.
+    #[arg(long, value_name = "SECONDS", value_parser = not_negative, help_heading = "Output")]
+    pub snapshot: Option<f64>,
+
     /// Configuration file (TOML) over the built-in defaults.
     #[arg(long, value_name = "FILE", help_heading = "Configuration")]
     pub config: Option<PathBuf>,
@@ -153,10 +165,21 @@ pub struct SilArgs {
 impl SilArgs {
     /// The parameters that have options of their own, as far as they are given.
     pub(super) fn flags(&self) -> Vec<Flag> {
-        let choices = [
-            ("--policy", "plan.policy", self.policy.map(|policy| policy.to_value())),
-            ("--predictor", "predict.kind", self.predictor.map(|kind| kind.to_value())),
-        ];
+        let mut choices =
+            vec![("--policy", "plan.policy", self.policy.map(|policy| policy.to_value()))];
+        let predictor = |key, value| ("--predictor", key, Some(value));
+        match &self.predictor {
+            Some(PredictorChoice::Kind(kind)) => {
+                choices.push(predictor("predict.kind", kind.to_value()));
+            }
+            Some(PredictorChoice::Network(file)) => choices.extend([
+                predictor("predict.kind", PredictorKind::Cnp.to_value()),
+                predictor("predict.model", Value::Text(file.clone())),
+                // Who names a network wants to see that one drive or nothing.
+                predictor("predict.fallback", Value::Bool(false)),
+            ]),
+            None => {}
+        }
         let numbers = [
             ("--speed-max", "speed.speed_max_mps", self.speed_max),
             ("--lidar-range", "lidar.range_m", self.lidar_range),
@@ -184,6 +207,7 @@ impl SilArgs {
             latency: self.latency,
             time_limit_s: self.time_limit,
             realtime: self.realtime,
+            snapshot_s: self.snapshot,
             params,
             out,
         }
@@ -468,8 +492,23 @@ fn policy() -> impl TypedValueParser<Value = Policy> {
     choice(Policy::ALL, Policy::name, Policy::text)
 }
 
-fn predictor() -> impl TypedValueParser<Value = PredictorKind> {
-    choice(PredictorKind::ALL, PredictorKind::name, PredictorKind::text)
+/// A predictor by its name, or a network by its file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PredictorChoice {
+    /// One of those that have a name.
+    Kind(PredictorKind),
+    /// The trained network of an ONNX file.
+    Network(String),
+}
+
+fn predictor(text: &str) -> Result<PredictorChoice, String> {
+    if let Some(kind) = PredictorKind::from_name(text) {
+        return Ok(PredictorChoice::Kind(kind));
+    }
+    if text.ends_with(".onnx") {
+        return Ok(PredictorChoice::Network(text.to_owned()));
+    }
+    Err(format!("wanted is one of {}, or a file FILE.onnx", PredictorKind::NAMES.join(", ")))
 }
 
 /// A range of seeds, its upper end left out.
@@ -512,6 +551,11 @@ fn point(text: &str) -> Result<Point, String> {
 fn positive(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| "wanted is a number above zero".to_owned())
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
+    value.ok_or_else(|| "wanted is a number of seconds, zero or more".to_owned())
 }
 
 fn latency(text: &str) -> Result<Latency, String> {

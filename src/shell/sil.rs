@@ -6,6 +6,7 @@ use super::report::{DriveRecord, outcome_text};
 use crate::frames::{Point, Pose};
 use crate::params::Params;
 use crate::plan::Policy;
+use crate::predict::PredictorKind;
 use crate::sim::drive::{Spread, Summary};
 use crate::sim::maze::Family;
 use crate::sim::rig::Latency;
@@ -44,6 +45,8 @@ pub struct SilRequest {
     pub time_limit_s: Option<f64>,
     /// Keep pace with the wall clock.
     pub realtime: bool,
+    /// When to look at the prediction, seconds from the first motion on; halfway if not given.
+    pub snapshot_s: Option<f64>,
     /// The validated parameters.
     pub params: Params,
     /// Folder for the report; it exists.
@@ -61,10 +64,22 @@ impl SilRequest {
         };
         let policy = self.params.plan.policy;
         let predictor = match policy {
-            Policy::MapPredictive => format!(", {}", self.params.predict.kind.name()),
+            Policy::MapPredictive => format!(", {}", self.predictor()),
             Policy::Frontier | Policy::KnownMap => String::new(),
         };
         format!("{world} · {}{predictor}", policy.name())
+    }
+}
+
+impl SilRequest {
+    /// The predictor's name, or that of the network's file.
+    fn predictor(&self) -> String {
+        let predict = &self.params.predict;
+        let file = Path::new(&predict.model).file_stem();
+        match file.filter(|_| predict.kind == PredictorKind::Cnp) {
+            Some(name) => name.to_string_lossy().into(),
+            None => predict.kind.name().into(),
+        }
     }
 }
 

@@ -35,6 +35,7 @@ impl Simulator for RigSimulator {
         let truth = walls(&place.world);
         let (start, goal) = (place.start, place.goal);
         let mut rig = Rig::new(setup(request, place)).map_err(input)?;
+        rig.keep_snapshot(request.snapshot_s);
 
         let begin = pace::now();
         let mut next_progress_s = 0.0;
@@ -64,6 +65,7 @@ impl Simulator for RigSimulator {
             trace: rig.trace().clone(),
             grid: rig.core().grid().clone(),
             truth,
+            snapshot: rig.snapshot().cloned(),
             start,
             goal,
             goal_radius_m: request.params.autopilot.goal_radius_m,
@@ -157,6 +159,7 @@ fn planner_params(params: &Params) -> PlannerParams {
         smooth: params.smooth.clone(),
         speed: params.speed.clone(),
         certify: params.certify.clone(),
+        foreseen: params.foreseen.clone(),
     }
 }
 

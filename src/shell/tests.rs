@@ -59,6 +59,7 @@ impl Simulator for Puppet {
             trace: Trace::default(),
             grid,
             truth: Vec::new(),
+            snapshot: None,
             start: Pose::new(0.0, 0.0, 0.0),
             goal: Point::new(1.0, 1.0),
             goal_radius_m: 0.5,

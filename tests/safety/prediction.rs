@@ -2,7 +2,7 @@
 
 use apexd::frames::Point;
 use apexd::plan::Policy;
-use apexd::predict::{OccupancyView, Predictor, Scene};
+use apexd::predict::{OccupancyView, Predictor, PredictorKind, Scene};
 use apexd::sim::maze::Family;
 use apexd::sim::rig::Rig;
 use rand::{RngExt, SeedableRng};
@@ -67,8 +67,37 @@ fn nonsense_from_the_predictor_breaks_no_rule() {
 }
 
 #[test]
+fn no_rule_is_broken_with_the_network_random_numbers_or_the_inverted_truth() {
+    use PredictorKind::{Cnp, Inverted, Random};
+    let mut trials = Vec::new();
+    for seed in 0..cases(1, 10) {
+        let families = [Family::Thin, Family::Solid, Family::Branching];
+        for (family, kind) in
+            families.into_iter().flat_map(|f| [Cnp, Random, Inverted].map(|k| (f, k)))
+        {
+            let trial = Trial::maze(family, 1_000_070 + seed).predictor(kind).for_s(8.0);
+            trials.push(if seed % 2 == 1 { trial.fast() } else { trial });
+        }
+        trials.push(Trial::maze(Family::Thin, 1_000_070 + seed).predictor(Cnp).fast().for_s(8.0));
+    }
+    trials.par_iter().for_each(|trial| {
+        let mut rig = trial.rig();
+        let mut watch = Watch::new(trial);
+        rig.drive(|rig| watch.look(rig));
+        watch.look_back(&rig, trial);
+        watch.findings.assert_none(&trial.label());
+        let summary = rig.summary(0.0);
+        assert_eq!((summary.collisions, summary.unknown_entries), (0, 0), "{}", trial.label());
+        assert_eq!(summary.prediction_faults, 0, "{}", trial.label());
+        assert_eq!(trial.predictor == Cnp, summary.predict_decoded > 0.0, "{}", trial.label());
+        assert!(rig.distance_m() > 5.0, "{}: {} m driven", trial.label(), rig.distance_m());
+    });
+}
+
+#[test]
 fn a_drive_depends_on_its_setup_alone_and_not_on_threads() {
     let trials = [
+        Trial::maze(Family::Thin, 33).predictor(PredictorKind::Cnp).for_s(4.0),
         Trial::maze(Family::Thin, 31).for_s(5.0),
         Trial::maze(Family::Branching, 32).policy(Policy::Frontier).for_s(5.0),
     ];

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use apexd::autopilot::{Event, Fault, Mode};
 use apexd::control::ControlParams;
-use apexd::frames::{Pose, Vector, heading_vector};
+use apexd::frames::{Pose, Vector, heading_vector, wrap_angle};
 use apexd::map::{Cell, CellIndex, Grid};
 use apexd::plan::certify::CertifyParams;
 use apexd::plan::{Plan, PlanRequest, StepReport, Trajectory, Verdict};
@@ -146,7 +146,7 @@ impl Watch {
 
     /// P1 to P12 at a planning step.
     fn look_at_step(&mut self, rig: &Rig, request: &PlanRequest, report: &StepReport) {
-        self.look_at_knowledge(rig, &request.grid);
+        self.look_at_knowledge(rig, request);
         match &report.verdict {
             Verdict::Plan(plan) => {
                 self.findings.extend(plans::inspect(request, plan, &self.limits));
@@ -174,7 +174,9 @@ impl Watch {
     }
 
     /// P12.
-    fn look_at_knowledge(&mut self, rig: &Rig, grid: &Arc<Grid>) {
+    fn look_at_knowledge(&mut self, rig: &Rig, request: &PlanRequest) {
+        let grid = &request.grid;
+        let beam_error_m = self.beam_error_m(rig, request);
         let b = grid.bounds();
         for iy in b.y0..b.y1 {
             let row = grid.row(iy).expect("the row is within the bounds");
@@ -187,12 +189,11 @@ impl Watch {
                 if before == now {
                     continue;
                 }
-                // A beam that ends on a wall may, by the centimetre that the pose is off, be booked
-                // to the free cell beside it: then that cell touches a true wall. Nothing else turns
+                // A beam that ends on a wall may, by what the estimated pose is off, be booked to the
+                // free cell beside it: then that cell is as near to a true wall. Nothing else turns
                 // in a static world.
-                const POSE_ERROR_M: f64 = 0.02;
                 let turned = before == Cell::Free && now == Cell::Occupied;
-                let reach_m = 0.5_f64.sqrt() * grid.resolution_m() + POSE_ERROR_M;
+                let reach_m = 0.5_f64.sqrt() * grid.resolution_m() + beam_error_m;
                 let touches_wall = || {
                     let centre = grid.centre(CellIndex::new(ix, iy));
                     rig.world().distance_m(centre, 2.0 * reach_m) <= reach_m
@@ -211,6 +212,26 @@ impl Watch {
             }
         }
         self.known = Some(Arc::clone(grid));
+    }
+
+    /// How far the ends of the newest scan's beams may be off at the most, metres: by the error of
+    /// the pose that they were booked from, and by the rounding of ranges on the bus.
+    fn beam_error_m(&self, rig: &Rig, request: &PlanRequest) -> f64 {
+        const ROUNDING_M: f64 = 1e-3;
+        let Some(scan) = rig.core().newest_scan() else { return 0.0 };
+        let Some(pose) = self.pose_measured(rig, request.scan_stamp, 0) else { return 0.0 };
+        let estimate = request.scan_pose;
+        let turn = wrap_angle(estimate.heading_rad - pose.heading_rad).abs();
+        (estimate.position - pose.position).norm() + scan.range_max_m * turn + ROUNDING_M
+    }
+
+    /// The true pose at which a scan with this stamp was measured, as long as it is remembered; with
+    /// `seen`, how many true poses of the present instant have been noted.
+    fn pose_measured(&self, rig: &Rig, stamp: Instant, seen: usize) -> Option<Pose> {
+        // Scans are measured at whole periods; the stamp is that to less than a millisecond.
+        let measured_s = (stamp.as_secs_f64() / self.scan_period_s).round() * self.scan_period_s;
+        let ago_ms = ((rig.now().as_secs_f64() - measured_s) * 1e3).round() as usize;
+        self.poses.len().checked_sub(seen + ago_ms).and_then(|i| self.poses.get(i)).copied()
     }
 
     /// P1 and P11 where another plan takes over.
@@ -305,13 +326,7 @@ impl Watch {
         }
         self.scans = arrived;
         let Some(scan) = rig.core().newest_scan() else { return };
-        // Scans are measured at whole periods; the stamp is that to less than a millisecond.
-        let measured_s =
-            (scan.stamp.as_secs_f64() / self.scan_period_s).round() * self.scan_period_s;
-        let ago_ms = ((rig.now().as_secs_f64() - measured_s) * 1e3).round() as usize;
-        let Some(pose) = self.poses.len().checked_sub(1 + ago_ms).map(|i| self.poses[i]) else {
-            return;
-        };
+        let Some(pose) = self.pose_measured(rig, scan.stamp, 1) else { return };
         for (k, range) in scan.ranges_m.iter().enumerate().step_by(BEAM_STRIDE) {
             let range = f64::from(*range);
             let direction = heading_vector(pose.heading_rad + scan.angle_rad(k));

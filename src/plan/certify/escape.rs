@@ -11,11 +11,10 @@
 //!   the wall: the car can go on along it.
 //! - *A run straight ahead* as long as the turning radius: in a passage too narrow for the arcs
 //!   (a door, a corridor) the car may stop as long as the passage is seen to go on.
-//! - *A turn-round* ([`turn_round`]): a chain of arcs to the same axis, facing back. The way that
-//!   the car came is known free for the disc in either direction, so that after it the car is never
-//!   worse off than before. Only this one proves that a car gets out of a dead end, and it asks for
-//!   a width of twice the turning radius plus two disc radii; the other two are cheap necessary
-//!   conditions that keep the common cases alive.
+//! - *A turn-round* ([`turn_round`]): a chain of arcs to the same axis, facing back, or to a
+//!   parallel one. After the former the car is never worse off than before, for the way that it came
+//!   is known free in either direction; after the latter it may face the next wall. Where plans stop
+//!   by default the car can turn back onto its very tracks ([`retreat`](crate::plan::search::retreat)).
 //!
 //! With [`Surfaces::OccupiedAndUnknown`] the arcs lie in space already seen: what they promise is
 //! kept whatever the unknown holds. With [`Surfaces::Occupied`] the unknown counts as free: stops
@@ -97,25 +96,6 @@ pub fn last_escapable(
     }
     let before = path.partition_point(|p| p.s_m < s_max_m);
     path[..before].iter().rev().find(|p| escapes(p)).map(|p| p.s_m)
-}
-
-/// Like [`last_escapable`], for stops from which the car can turn round.
-pub fn last_turnable(
-    grid: &Grid,
-    path: &[PathPoint],
-    s_max_m: f64,
-    rule: &EscapeRule,
-) -> Option<f64> {
-    let turns = |p: &PathPoint| {
-        let pose = Pose { position: p.position, heading_rad: p.heading_rad };
-        turn_round(grid, pose, rule).is_some()
-    };
-    let end = at_distance(path, s_max_m)?;
-    if turns(&end) {
-        return Some(end.s_m);
-    }
-    let before = path.partition_point(|p| p.s_m < s_max_m);
-    path[..before].iter().rev().find(|p| turns(p)).map(|p| p.s_m)
 }
 
 /// Arcs that turn the car round without reverse gear, the whole way clear: onto the same axis

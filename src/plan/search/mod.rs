@@ -9,12 +9,14 @@ mod jump;
 mod literal;
 mod manoeuvre;
 mod pull;
+mod retreat;
 mod window;
 
 pub use astar::{GuideSearch, SearchError};
 pub use manoeuvre::{
     Manoeuvre, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, MaskRoom, NoManoeuvre, Room,
 };
+pub use retreat::retreat;
 
 use crate::frames::Point;
 use crate::map::{Cell, CellIndex, CellRect};

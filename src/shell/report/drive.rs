@@ -13,10 +13,10 @@ use crate::frames::{Point, heading_vector};
 use crate::map::{Cell, CellIndex, CellRect, Grid};
 use crate::sim::drive::TraceSample;
 
-const TRUE_WALL: &str = "#c9742b";
+pub(super) const TRUE_WALL: &str = "#c9742b";
 const PLAN_END: &str = "#d01c5b";
 const START: &str = "#1462c4";
-const GOAL: &str = "#0a8a3c";
+pub(super) const GOAL: &str = "#0a8a3c";
 
 /// The largest plot, pixels.
 const PLOT_MAX: [f64; 2] = [1000.0, 860.0];
@@ -125,7 +125,7 @@ pub(super) fn cell_layer(
 }
 
 /// The walls that there really are.
-fn truth_layer(svg: &mut Svg, frame: &Frame, record: &DriveRecord) {
+pub(super) fn truth_layer(svg: &mut Svg, frame: &Frame, record: &DriveRecord) {
     let lines = record.truth.iter().map(|line| line.map(|p| frame.place(p.x, p.y)));
     let style = format!(
         "fill=\"none\" stroke=\"{TRUE_WALL}\" stroke-width=\"1.1\" stroke-opacity=\"0.75\""
@@ -187,14 +187,14 @@ fn mark_layer(svg: &mut Svg, frame: &Frame, record: &DriveRecord, scale: f64) {
     });
 }
 
-fn goal_cross(svg: &mut Svg, [x, y]: [f64; 2]) {
+pub(super) fn goal_cross(svg: &mut Svg, [x, y]: [f64; 2]) {
     let style = format!("stroke=\"{GOAL}\" stroke-width=\"2.4\" stroke-linecap=\"round\"");
     svg.line([x - 4.0, y - 4.0], [x + 4.0, y + 4.0], &style);
     svg.line([x - 4.0, y + 4.0], [x + 4.0, y - 4.0], &style);
 }
 
 /// An arrow head that points where the car looks.
-fn start_arrow(svg: &mut Svg, [x, y]: [f64; 2], heading_rad: f64) {
+pub(super) fn start_arrow(svg: &mut Svg, [x, y]: [f64; 2], heading_rad: f64) {
     let corner = |angle: f64, length: f64| {
         let v = heading_vector(heading_rad + angle) * length;
         [x + v.x, y - v.y]

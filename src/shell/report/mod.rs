@@ -9,6 +9,7 @@ mod colour;
 mod drive;
 mod evaluation;
 mod outline;
+mod prediction;
 mod raster;
 mod speed;
 mod svg;
@@ -21,6 +22,7 @@ pub use outline::outline;
 use crate::frames::{Point, Pose};
 use crate::map::Grid;
 use crate::sim::drive::{Outcome, Summary, Trace};
+use crate::sim::rig::Snapshot;
 
 /// A finished drive with everything that the report shows of it.
 #[derive(Clone, Debug)]
@@ -36,6 +38,8 @@ pub struct DriveRecord {
     /// Where solid and free touch in the true world, map frame (see [`outline`]); empty if it is
     /// not to be drawn.
     pub truth: Vec<[Point; 2]>,
+    /// What the planner foresaw at one moment; nothing if it never planned.
+    pub snapshot: Option<Snapshot>,
     /// Where the drive began, map frame.
     pub start: Pose,
     /// Where it was to end, map frame.
@@ -81,8 +85,9 @@ pub fn outcome_text(outcome: Outcome) -> &'static str {
     }
 }
 
-/// Writes `drive.svg`, `drive.png`, `speed.svg`, `speed.png` and `summary.json` into a folder,
-/// which is made if need be, and returns their paths.
+/// Writes `drive.svg`, `drive.png`, `speed.svg`, `speed.png`, with a snapshot also `prediction.svg`
+/// and `prediction.png`, and `summary.json` into a folder, which is made if need be, and returns
+/// their paths.
 pub fn write(folder: &Path, record: &DriveRecord) -> Result<Vec<PathBuf>, ReportError> {
     let fail = |path: &Path, error| ReportError::Write { path: path.to_owned(), error };
     std::fs::create_dir_all(folder).map_err(|error| fail(folder, error))?;
@@ -93,7 +98,11 @@ pub fn write(folder: &Path, record: &DriveRecord) -> Result<Vec<PathBuf>, Report
         written.push(path);
         Ok(())
     };
-    for (name, svg) in [("drive", drive::picture(record)?), ("speed", speed::picture(record))] {
+    let mut pictures = vec![("drive", drive::picture(record)?), ("speed", speed::picture(record))];
+    if let Some(snapshot) = &record.snapshot {
+        pictures.push(("prediction", prediction::picture(record, snapshot)?));
+    }
+    for (name, svg) in pictures {
         put(&format!("{name}.svg"), svg.as_bytes())?;
         put(&format!("{name}.png"), &raster::png(name, &svg)?)?;
     }

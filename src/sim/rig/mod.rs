@@ -7,11 +7,14 @@
 
 mod car_end;
 mod setup;
+mod snapshot;
 
 use std::collections::VecDeque;
 
 use car_end::CarEnd;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
+use snapshot::Album;
+pub use snapshot::Snapshot;
 
 use crate::autopilot::{Autopilot, Command, Event, Fault, Mode};
 use crate::frames::Point;
@@ -64,6 +67,7 @@ pub struct Rig {
     predict_ms: Vec<f64>,
     predict_effort: [u64; 2],
     reports: Option<Vec<(PlanRequest, StepReport)>>,
+    album: Option<Album>,
     trace: Trace,
     digest: crc::Digest<'static, u64>,
 }
@@ -150,6 +154,22 @@ impl Rig {
         self.reports.get_or_insert_default();
     }
 
+    /// From now on looks now and then at what the planner foresees, for
+    /// [`snapshot`](Self::snapshot): at a time in seconds from the first motion on, or halfway.
+    pub fn keep_snapshot(&mut self, at_s: Option<f64>) {
+        self.album = Some(Album::new(at_s));
+    }
+
+    /// What the planner foresaw nearest to the time asked for, so far.
+    pub fn snapshot(&self) -> Option<&Snapshot> {
+        self.album.as_ref()?.chosen(self.driven_s())
+    }
+
+    /// Seconds since the first motion.
+    fn driven_s(&self) -> f64 {
+        self.started.map_or(0.0, |at| self.now.seconds_after(at))
+    }
+
     /// The planning steps since the last call.
     pub fn take_reports(&mut self) -> Vec<(PlanRequest, StepReport)> {
         self.reports.as_mut().map(std::mem::take).unwrap_or_default()
@@ -212,7 +232,6 @@ impl Rig {
     /// The figures of the drive; `wall_s` is how long it took on the wall clock.
     pub fn summary(&self, wall_s: f64) -> Summary {
         let statistics = self.core.statistics();
-        let driven = self.started.map_or(0.0, |at| self.now.seconds_after(at));
         let ages: Vec<f64> =
             statistics.plan_ages.iter().map(|age| age.as_secs_f64() * 1e3).collect();
         let replans = statistics.replans;
@@ -223,7 +242,7 @@ impl Rig {
             } else {
                 Outcome::Timeout
             }),
-            time_s: driven,
+            time_s: self.driven_s(),
             path_m: self.moved_m,
             collisions: self.judge.collisions(),
             unknown_entries: self.judge.unknown_entries(),
@@ -287,6 +306,10 @@ impl Rig {
                 Latency::Fixed(seconds) => self.now.offset_by(seconds),
                 Latency::Measured => self.now + report.times.total,
             };
+            let t_s = self.driven_s();
+            if let Some(album) = &mut self.album {
+                album.step(t_s, &request, &report, &mut *self.planner);
+            }
             if let Some(reports) = &mut self.reports {
                 reports.push((request, report.clone()));
             }

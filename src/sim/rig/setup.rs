@@ -221,6 +221,7 @@ impl RigSetup {
             predict_ms: Vec::new(),
             predict_effort: [0; 2],
             reports: None,
+            album: None,
             trace: Trace::default(),
             digest: DIGEST.digest(),
             core,

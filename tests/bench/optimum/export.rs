@@ -105,6 +105,7 @@ fn drive(maze: &Maze, params: &Params, file: &Path) -> Result<Option<f64>, Box<d
         planner: PlannerParams {
             vehicle: p.vehicle,
             plan: p.plan,
+            foreseen: p.foreseen,
             search: p.search,
             manoeuvre: p.manoeuvre,
             smooth: p.smooth,

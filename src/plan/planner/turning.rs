@@ -1,0 +1,237 @@
+//! Turning round: where a plan may stop so that the car can, and doing so where nothing else is
+//! left.
+
+use super::{Branch, Candidate, ClearRoom, Planner, leaves_heading, with_transitions};
+use crate::frames::{Point, Pose};
+use crate::map::{Clearance, DistanceField, Grid};
+use crate::plan::certify::Surfaces;
+use crate::plan::impasse::Courage;
+use crate::plan::path::at_distance;
+use crate::plan::request::{Plan, PlanRequest, StepTimes};
+use crate::plan::search::{Guide, ManoeuvreParams, ManoeuvreQuery, retreat};
+use crate::plan::{Path, PathPoint};
+use crate::time::Instant;
+
+/// Kept beyond what the certificate asks for, metres: what lies between two samples is nearer to
+/// corners than they are, and bulges over the chord. More where a stop is chosen than where the
+/// turn is driven, so that rounding cannot turn the answer round.
+const STOP_SPARE_M: f64 = 0.005;
+const TURN_SPARE_M: f64 = 0.002;
+/// The search for a manoeuvre may take this many times as long: the car stands.
+const PATIENCE: u32 = 4;
+/// A guide that starts out farther to the side than this leads back.
+const BEHIND_RAD: f64 = std::f64::consts::FRAC_PI_2;
+/// The tracks that the car may turn back onto: their length, and distances between poses, metres.
+const TRACKS_M: f64 = 3.0;
+const TRACK_STEP_M: f64 = 0.3;
+/// Tracks are remembered by points this far apart, metres.
+const MEMORY_STEP_M: f64 = 0.1;
+/// A car that is suddenly this far from its tracks has been put down elsewhere, metres.
+const JUMP_M: f64 = 0.5;
+/// An alternative that takes this much longer is tried only after the direct way has been hoped
+/// for, seconds.
+const DETOUR_S: f64 = 2.0;
+/// Farther ahead much may change before the car gets there, metres.
+const NEAR_M: f64 = 3.0;
+/// Narrow places are not looked for nearer than this, metres: where the car stands is no place to
+/// blame.
+const TIGHT_FROM_M: f64 = 0.7;
+/// Stops are looked for at steps of this length, metres.
+const STOP_STEP_M: f64 = 0.1;
+
+/// Where the car has been.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tracks {
+    poses: Vec<Pose>,
+    until: Instant,
+}
+
+impl Tracks {
+    /// Adds what the car drives until the take-over.
+    pub(super) fn follow(&mut self, request: &PlanRequest) {
+        let committed = &request.committed.trajectory;
+        let from_m = committed.at(self.until).path.s_m;
+        let here = committed.at(request.takes_over).path;
+        self.until = request.takes_over;
+        let driven = committed.points.iter().map(|p| p.path);
+        let driven = driven.filter(|p| p.s_m > from_m && p.s_m < here.s_m);
+        for p in driven.chain(std::iter::once(here)) {
+            let step_m = self.poses.last().map(|last| (p.position - last.position).norm());
+            if step_m.is_some_and(|step_m| step_m > JUMP_M) {
+                self.poses.clear();
+            } else if step_m.is_some_and(|step_m| step_m < MEMORY_STEP_M) {
+                continue;
+            }
+            self.poses.push(Pose { position: p.position, heading_rad: p.heading_rad });
+        }
+        let kept = 2 * (TRACKS_M / MEMORY_STEP_M) as usize;
+        if self.poses.len() > 2 * kept {
+            self.poses.drain(..self.poses.len() - kept);
+        }
+    }
+
+    /// Poses behind a point of a path that the tracks lead to, the nearest first: the point itself,
+    /// then back along the path and the tracks.
+    fn behind(&self, path: &[PathPoint], from: &PathPoint) -> Vec<Pose> {
+        let pose = |p: &PathPoint| Pose { position: p.position, heading_rad: p.heading_rad };
+        let on_path = path.iter().rev().filter(|p| p.s_m < from.s_m).map(pose);
+        let mut poses = vec![pose(from)];
+        let (mut last, mut gone_m, mut stepped_m) = (poses[0], 0.0, 0.0);
+        for pose in on_path.chain(self.poses.iter().rev().copied()) {
+            let step_m = (pose.position - last.position).norm();
+            (last, gone_m, stepped_m) = (pose, gone_m + step_m, stepped_m + step_m);
+            if gone_m > TRACKS_M {
+                break;
+            }
+            if stepped_m >= TRACK_STEP_M {
+                poses.push(pose);
+                stepped_m = 0.0;
+            }
+        }
+        poses
+    }
+}
+
+impl Planner {
+    /// The largest arc length, not above `s_max_m`, at which a car that stops can turn back onto
+    /// the way that it came by, clear of these.
+    pub(super) fn last_turnable(
+        &self,
+        grid: &Grid,
+        path: &[PathPoint],
+        s_max_m: f64,
+        surfaces: Surfaces,
+    ) -> Option<f64> {
+        let field = match surfaces {
+            Surfaces::Occupied => &self.occupied,
+            Surfaces::OccupiedAndUnknown => &self.blocked,
+        };
+        let steps = 0..=(s_max_m / STOP_STEP_M) as u32;
+        let mut stops = steps.map(|i| s_max_m - f64::from(i) * STOP_STEP_M);
+        stops.find(|s_m| self.turns_back(grid, field, path, *s_m))
+    }
+
+    /// Whether a car that stops there can turn back onto the way that it came by, clear of what
+    /// the field holds for obstacles.
+    fn turns_back(&self, grid: &Grid, field: &DistanceField, path: &[PathPoint], s_m: f64) -> bool {
+        let Some(stop) = at_distance(path, s_m) else { return false };
+        let clearance = Clearance::new(grid, field);
+        let room = ClearRoom { clearance, keep_m: self.keep_m() + STOP_SPARE_M };
+        let pose = Pose { position: stop.position, heading_rad: stop.heading_rad };
+        let behind = self.tracks.behind(path, &stop);
+        retreat(&room, pose, &behind, self.params.vehicle.turn_radius_m).is_some()
+    }
+
+    /// Whether the car can turn back where a plan stops.
+    pub(super) fn is_stop_proven(&self, grid: &Grid, plan: &Plan) -> bool {
+        let path: Vec<PathPoint> = plan.trajectory.points.iter().map(|p| p.path).collect();
+        let stop_m = plan.trajectory.last().path.s_m;
+        self.turns_back(grid, &self.blocked, &path, stop_m)
+    }
+
+    /// For a car that stands and gets nowhere along its guide: closes the place that keeps it from
+    /// going there if that costs little; otherwise takes courage.
+    pub(super) fn try_another_way(
+        &mut self,
+        request: &PlanRequest,
+        here: &Branch,
+        guide: &Guide,
+        times: &mut StepTimes,
+    ) {
+        let car = here.point.position;
+        let Some((place, proven)) = self.tight_place(&request.grid, guide) else {
+            self.impasses.take_courage(car);
+            return;
+        };
+        let mut cost_s = |planner: &mut Self| {
+            planner.set_masks(request);
+            planner.guide(request, here, times).map_or(f64::INFINITY, |guide| guide.cost_s)
+        };
+        let before = self.impasses.clone();
+        self.impasses.open();
+        let direct_s = cost_s(self);
+        self.impasses = before;
+        let possible = self.impasses.close(car, place);
+        let detour_s = cost_s(self) - direct_s;
+        let far = detour_s > DETOUR_S
+            && match self.impasses.courage() {
+                Courage::Proven => true,
+                Courage::Hopeful => proven,
+                Courage::Bold => false,
+            };
+        if far || !possible {
+            self.impasses.take_courage(car);
+        }
+    }
+
+    /// The place near the car that keeps it from following a guide: where the guide first leaves
+    /// proven room, else where it is narrowest, if the car cannot turn round there. And whether it
+    /// is the latter, and so there is room beyond.
+    fn tight_place(&self, grid: &Grid, guide: &Guide) -> Option<(Point, bool)> {
+        let blocked = Clearance::new(grid, &self.blocked);
+        let keep_m = self.keep_m();
+        let from = guide.points.first()?;
+        let near = guide.points.iter().take_while(|p| (*p - from).norm() <= NEAR_M);
+        let near = near.map(|p| (*p, blocked.at(*p))).skip(1);
+        if let Some((unproven, _)) = near.clone().find(|(_, clearance_m)| *clearance_m < keep_m) {
+            return Some((unproven, false));
+        }
+        let narrow_m = keep_m + self.params.vehicle.turn_radius_m;
+        let narrow = near.filter(|(p, _)| (p - from).norm() >= TIGHT_FROM_M);
+        let narrowest = narrow.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|n| n.1 < narrow_m);
+        narrowest.map(|(p, _)| (p, true))
+    }
+
+    /// A plan that turns the car towards the guide, or at least round.
+    ///
+    /// Other plans keep some room and some steering for smoothing. A stop, however, is chosen where
+    /// the car can just turn round, and what has been promised there must be found again here.
+    ///
+    /// `None` where the guide leads straight on (unless it has failed for long), or there is no room.
+    pub(super) fn turn_back(
+        &mut self,
+        request: &PlanRequest,
+        here: &Branch,
+        guide: &Guide,
+        times: &mut StepTimes,
+    ) -> Option<Plan> {
+        let ordinary = &self.params.manoeuvre;
+        let lasting = self.impasses.is_lasting();
+        if !leaves_heading(here.pose(), guide, ordinary.skip_turn_rad) && !lasting {
+            return None;
+        }
+        let vehicle = &self.params.vehicle;
+        let query = ManoeuvreQuery {
+            pose: here.pose(),
+            speed_mps: 0.0,
+            guide,
+            curvature_limit_pm: vehicle.curvature_limit_pm(),
+            acceleration_limit_mps2: vehicle.acceleration_limit_mps2(),
+        };
+        let params = ManoeuvreParams {
+            curvature_share: 1.0,
+            effort: ordinary.effort * PATIENCE,
+            ..ordinary.clone()
+        };
+        let clearance = Clearance::new(&request.grid, &self.blocked);
+        let room = ClearRoom { clearance, keep_m: self.keep_m() + TURN_SPARE_M };
+        if let Ok(Some(found)) = self.manoeuvre.find(&room, &query, &params)
+            && found.joins_at.is_some()
+        {
+            let path = with_transitions(&found.path);
+            let candidate = Candidate { path, reaches_goal: false, rest_m: 0.0 };
+            if let Ok(plan) = self.certified(request, &candidate, times) {
+                return Some(plan);
+            }
+        }
+        if !leaves_heading(here.pose(), guide, BEHIND_RAD) && !lasting {
+            return None;
+        }
+        let clearance = Clearance::new(&request.grid, &self.blocked);
+        let room = ClearRoom { clearance, keep_m: self.keep_m() + TURN_SPARE_M };
+        let behind = self.tracks.behind(&[], &here.point);
+        let path = retreat(&room, here.pose(), &behind, self.params.vehicle.turn_radius_m)?;
+        let path: Path = with_transitions(&path);
+        self.finish(request, &path, path.length_m(), times).ok()
+    }
+}
