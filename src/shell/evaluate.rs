@@ -22,6 +22,14 @@ struct Model {
     names: Vec<String>,
 }
 
+/// All networks of the command line.
+#[derive(Default)]
+struct Loaded {
+    models: Vec<Model>,
+    /// Each under every treatment that makes a difference.
+    scored: Vec<Box<dyn Probabilities>>,
+}
+
 /// Why a network cannot be scored.
 #[derive(Debug, thiserror::Error)]
 enum ModelError {
@@ -48,7 +56,7 @@ pub fn run(args: &EvaluateArgs, terminal: &Terminal, out: &mut dyn Write) -> Exi
         complain(&error.to_string());
         return Exit::Usage;
     }
-    let (models, mut scored) = match load(args) {
+    let Loaded { models, mut scored } = match load(args) {
         Ok(loaded) => loaded,
         Err(error) => {
             complain(&error.to_string());
@@ -101,9 +109,8 @@ fn no_card(what: &str) -> String {
 }
 
 /// The networks of the command line, and what is to be scored.
-fn load(args: &EvaluateArgs) -> Result<(Vec<Model>, Vec<Box<dyn Probabilities>>), ModelError> {
-    let mut models: Vec<Model> = Vec::new();
-    let mut scored: Vec<Box<dyn Probabilities>> = Vec::new();
+fn load(args: &EvaluateArgs) -> Result<Loaded, ModelError> {
+    let Loaded { mut models, mut scored } = Loaded::default();
     for file in &args.model {
         let bytes =
             std::fs::read(file).map_err(|error| ModelError::Read { file: file.clone(), error })?;
@@ -136,7 +143,7 @@ fn load(args: &EvaluateArgs) -> Result<(Vec<Model>, Vec<Box<dyn Probabilities>>)
         }
         models.push(Model { file: file.clone(), facts, names });
     }
-    Ok((models, scored))
+    Ok(Loaded { models, scored })
 }
 
 fn write_card(model: &Model, models: &[Model], evaluation: &Evaluation) -> Result<(), ReportError> {
