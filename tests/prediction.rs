@@ -24,7 +24,10 @@ fn npy<const N: usize, T>(name: &str, descr: &str, read: fn([u8; N]) -> T) -> Ve
     let header = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
     let text = String::from_utf8_lossy(&bytes[10..header]);
     assert!(text.contains(descr) && text.contains("'fortran_order': False"), "{text}");
-    bytes[header..].chunks_exact(N).map(|v| read(v.try_into().unwrap())).collect()
+    bytes[header..]
+        .chunks_exact(N)
+        .map(|v| read(v.try_into().expect("chunks have N bytes")))
+        .collect()
 }
 
 #[test]
