@@ -140,7 +140,7 @@ tunables! {
         /// A step that predicts for longer goes on without, and so do the next ones.
         time_limit_s: f64 = 0.01, restart, in 0.0001..=10.0, "s";
         /// Draw predictions towards 0.5 as far as the network calls the scene unfamiliar.
-        fade: bool = true, restart;
+        fade: bool = false, restart;
         /// Drive without prediction if the network cannot be used (a fault is raised); otherwise
         /// do not drive.
         fallback: bool = true, restart;
