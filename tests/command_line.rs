@@ -182,7 +182,6 @@ fn a_network_is_taken_by_its_file_or_refused_with_the_reason() {
     assert_eq!(by_file.code, 0, "{}", by_file.err);
     let by_name = cross(folder.path(), &["--json", "--out", "b", "--predictor", "cnp"]);
     assert_eq!(by_file.json()["digest"], by_name.json()["digest"]);
-    assert!(by_name.json()["predict_decoded"].as_f64().unwrap() > 0.0);
     std::fs::write(folder.path().join("bad.onnx"), "not a network").unwrap();
     for (file, reason) in [("bad.onnx", "no intact ONNX file"), ("none.onnx", "cannot be read")] {
         let ran = cross(folder.path(), &["--predictor", file]);
