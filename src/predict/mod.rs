@@ -129,7 +129,7 @@ tunables! {
     /// The view of the unknown.
     pub struct PredictParams in "predict" {
         /// Where the view comes from.
-        kind: PredictorKind = PredictorKind::None, at_rest, one of;
+        kind: PredictorKind = PredictorKind::Cnp, at_rest, one of;
         /// How far from the frontier of the known map anything is foreseen; 0.5 beyond.
         range_m: f64 = 5.0, at_rest, in 0.5..=50.0, "m";
         /// The trained network's ONNX file; if empty, the one that is part of the program.
