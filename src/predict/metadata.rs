@@ -30,6 +30,8 @@ pub struct Metadata {
     pub world: Option<String>,
     /// Its calibration, if it has one.
     pub calibration: Option<Calibration>,
+    /// All entries of the file, by key, for people.
+    pub entries: Vec<(String, String)>,
 }
 
 impl Metadata {
@@ -76,6 +78,7 @@ impl Metadata {
             trained_on: trained_on.to_owned(),
             world: entries.get("world").map(|world| (*world).to_owned()),
             calibration,
+            entries: entries.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect(),
         })
     }
 }

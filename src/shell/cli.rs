@@ -356,6 +356,13 @@ pub struct EvaluateArgs {
     /// A folder that `apexd dataset` has written to score on; may be repeated, a table for each.
     #[arg(long, value_name = "DIR", num_args = 1.., help_heading = "What is scored")]
     pub dataset: Vec<PathBuf>,
+    /// Networks to score (ONNX files), beside the baselines.
+    #[arg(long, value_name = "FILE.onnx", num_args = 1.., help_heading = "What is scored")]
+    pub model: Vec<PathBuf>,
+    /// Shared library of ONNX Runtime that runs them; if not given, the runtime that is part of
+    /// the program [parameter predict.onnxruntime].
+    #[arg(long, value_name = "FILE", help_heading = "What is scored")]
+    pub onnxruntime: Option<PathBuf>,
     /// Cells up to this far from the centre of a piece of the frontier, metres; several give
     /// several tables.
     #[arg(long, value_name = "METRES", value_parser = positive, value_delimiter = ',',
@@ -387,6 +394,10 @@ pub struct EvaluateArgs {
     /// Folder for pictures, reliability diagrams and the scores as evaluation.json.
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub out: Option<PathBuf>,
+    /// Write a model card beside each network: FILE.md for FILE.onnx. Scenes that networks are
+    /// trained on are refused.
+    #[arg(long, requires = "model", help_heading = "Output")]
+    pub card: bool,
     /// Scenes of each table to draw.
     #[arg(long, value_name = "N", default_value_t = 4, help_heading = "Output")]
     pub pictures: usize,

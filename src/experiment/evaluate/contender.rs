@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::metrics::{Tally, clustered_interval, log_loss};
 use super::request::SetRequest;
-use super::scores::{Band, EdgeScores, RadiusScores, Scored};
+use super::scores::{Band, Difference, EdgeScores, RadiusScores, Scored};
 use super::view::Edge;
 use super::{EDGE_NEAR_M, EvaluateError};
 
@@ -82,6 +82,7 @@ pub(super) fn radius_scores(
     radii_m: &[f64],
     contenders: &[Contender],
 ) -> Result<Vec<RadiusScores>, EvaluateError> {
+    let first = contenders.first();
     let scored = |radius: usize, contender: &Contender| {
         let tally = &contender.radii[radius];
         let clusters: Vec<(f64, u64)> = tally.worlds.values().copied().collect();
@@ -89,6 +90,7 @@ pub(super) fn radius_scores(
             name: contender.name.clone(),
             scores: tally.all.scores()?,
             log_loss_ci95: clustered_interval(&clusters),
+            against_first: against(tally, first.filter(|f| f.name != contender.name), radius),
             by_distance: bands(&tally.bands),
             reliability: tally.all.reliability(),
         })
@@ -105,6 +107,20 @@ pub(super) fn radius_scores(
         result.push(RadiusScores { radius_m: *radius_m, predictors });
     }
     Ok(result)
+}
+
+/// Log loss less that of another predictor on the same cells, world by world.
+fn against(tally: &RadiusTally, other: Option<&Contender>, radius: usize) -> Option<Difference> {
+    let other = &other?.radii[radius];
+    let pairs: Vec<(f64, u64)> = tally
+        .worlds
+        .values()
+        .zip(other.worlds.values())
+        .map(|((a, n), (b, _))| (a - b, *n))
+        .collect();
+    let n: u64 = pairs.iter().map(|(_, n)| n).sum();
+    let mean = pairs.iter().map(|(d, _)| d).sum::<f64>() / n as f64;
+    Some(Difference { mean, ci95: clustered_interval(&pairs) })
 }
 
 /// The scores on edges, if there were any near the frontier.

@@ -14,6 +14,7 @@ mod baselines;
 mod card;
 mod contender;
 mod metrics;
+mod network;
 mod request;
 mod scores;
 mod table;
@@ -24,8 +25,9 @@ use std::collections::BTreeSet;
 pub use baselines::{Baseline, Kind as BaselineKind};
 pub use card::{ModelFacts, card};
 pub use metrics::{RELIABILITY_BINS, Reliability, Scores, Tally, clustered_interval, log_loss};
+pub use network::{NetworkScored, Treatment};
 pub use request::{Request, SceneSource, SetRequest};
-pub use scores::{Band, EdgeScores, Evaluation, RadiusScores, Scored, SetScores};
+pub use scores::{Band, Difference, EdgeScores, Evaluation, RadiusScores, Scored, SetScores};
 pub use table::table;
 pub use view::{Edge, MazeLattice, Phase, View};
 

@@ -17,6 +17,15 @@ pub struct Band {
     pub scores: Scores,
 }
 
+/// A paired difference.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// Mean over the cells.
+    pub mean: f64,
+    /// Half the width of the 95 % interval, by worlds.
+    pub ci95: Option<f64>,
+}
+
 /// Scores of one predictor within one radius.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Scored {
@@ -27,6 +36,8 @@ pub struct Scored {
     pub scores: Scores,
     /// Half the width of the 95 % interval of the log loss, by worlds.
     pub log_loss_ci95: Option<f64>,
+    /// Log loss less that of the first predictor, on the same cells; absent for the first.
+    pub against_first: Option<Difference>,
     /// By distance from the nearest frontier cell.
     pub by_distance: Vec<Band>,
     /// The reliability diagram.

@@ -27,6 +27,9 @@ fn of_set(set: &SetScores) -> String {
         let _ =
             write!(text, "\n\n  {:<36}", format!("within {} m ({cells} cells)", radius.radius_m));
         let _ = write!(text, "{:>18}{:>10}{:>8}{:>8}", "log loss", "accuracy", "AUC", "ECE");
+        if let Some(first) = radius.predictors.first() {
+            let _ = write!(text, "   log loss less that of {}", first.name);
+        }
         for scored in &radius.predictors {
             let _ = write!(text, "\n    {:<34}{}", scored.name, of_scored(scored));
         }
@@ -64,8 +67,13 @@ fn of_set(set: &SetScores) -> String {
 
 fn of_scored(scored: &Scored) -> String {
     let interval = scored.log_loss_ci95.map_or_else(String::new, |ci| format!(" ± {ci:.4}"));
+    let against = scored.against_first.map_or_else(String::new, |d| {
+        let interval = d.ci95.map_or_else(String::new, |ci| format!(" ± {ci:.4}"));
+        format!("   {:+.4}{interval}", d.mean)
+    });
     let Scores { log_loss, accuracy, auc, ece, .. } = scored.scores;
-    format!("{:>18}{accuracy:>10.4}{:>8}{ece:>8.4}", format!("{log_loss:.4}{interval}"), share(auc))
+    let log_loss = format!("{log_loss:.4}{interval}");
+    format!("{log_loss:>18}{accuracy:>10.4}{:>8}{ece:>8.4}{against}", share(auc))
 }
 
 fn of_edges(edges: &EdgeScores) -> String {

@@ -74,6 +74,11 @@ fn a_predictor_that_knows_is_scored_above_all_baselines() {
             assert!(baseline.scores.count == oracle.scores.count);
             assert!(baseline.scores.log_loss > 0.105 || baseline.name.contains("boundary"));
             assert!(baseline.log_loss_ci95.unwrap() > 0.0);
+            let against = baseline.against_first.unwrap();
+            let difference = baseline.scores.log_loss - oracle.scores.log_loss;
+            assert!((against.mean - difference).abs() < 1e-9, "{}", baseline.name);
+            // The oracle's loss is the same everywhere, so pairing gains nothing.
+            assert!((against.ci95.unwrap() - baseline.log_loss_ci95.unwrap()).abs() < 1e-6);
         }
         // The bands hold every cell once.
         let banded: u64 = oracle.by_distance.iter().map(|band| band.scores.count).sum();
