@@ -182,7 +182,6 @@ fn a_network_is_taken_by_its_file_or_refused_with_the_reason() {
     assert_eq!(by_file.code, 0, "{}", by_file.err);
     let by_name = cross(folder.path(), &["--json", "--out", "b", "--predictor", "cnp"]);
     assert_eq!(by_file.json()["digest"], by_name.json()["digest"]);
-    assert!(by_name.json()["predict_context"].as_f64().unwrap() > 0.0);
     std::fs::write(folder.path().join("bad.onnx"), "not a network").unwrap();
     for (file, reason) in [("bad.onnx", "no intact ONNX file"), ("none.onnx", "cannot be read")] {
         let ran = cross(folder.path(), &["--predictor", file]);
@@ -191,7 +190,8 @@ fn a_network_is_taken_by_its_file_or_refused_with_the_reason() {
     }
     let set = ["--json", "--predictor", "cnp", "--set", "predict.model=none.onnx"];
     let ran = cross(folder.path(), &set);
-    assert_eq!((ran.code, &ran.json()["prediction_faults"]), (0, &3.into()), "{}", ran.err);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    assert!(ran.json()["prediction_faults"].as_u64().unwrap() >= 1, "{}", ran.out);
     assert!(ran.err.contains("driving without prediction"), "{}", ran.err);
 }
 

@@ -154,7 +154,7 @@ fn file_environment_and_set_reach_the_drive_in_that_order() {
     let asked = &puppet.asked.borrow()[0];
     let vehicle = &asked.params.vehicle;
     assert_eq!((vehicle.mass_kg, vehicle.friction, vehicle.radius_m), (3.0, 0.7, 0.1));
-    assert_eq!(asked.title(), "maze 5 (thin) · map-predictive, none");
+    assert_eq!(asked.title(), "maze 5 (thin) · map-predictive, cnp");
 }
 
 #[test]
