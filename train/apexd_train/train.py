@@ -2,8 +2,8 @@
 
     python -m apexd_train.train --data DIR [DIR ...] --out RUN --export params/cnp.onnx --hours 2
 
-Resumes from RUN/last.pt when it exists (also onto other data: `--data` may change). Writes
-RUN/log.csv, RUN/curves.png, RUN/last.pt, and the ONNX file at the end.
+Resumes from RUN/last.pt when it exists (also onto other data: `--data` may change); an interrupt
+or a termination signal saves first. Writes RUN/log.csv, RUN/curves.png, RUN/last.pt, and the ONNX file at the end.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import csv
 import dataclasses
 import json
 import math
+import signal
 import time
 from pathlib import Path
 
@@ -45,6 +46,7 @@ def parser() -> argparse.ArgumentParser:
     budget.add_argument("--iterations", type=int)
     budget.add_argument("--hours", type=float, help="wall-clock budget, over all resumed runs")
     p.add_argument("--optimiser", default="adamw", choices=["adamw", "muon"])
+    p.add_argument("--pause-at", type=int, help="save and leave at this iteration, to be resumed")
     p.add_argument("--lr", type=float, default=1e-3)
     p.add_argument("--warmup", type=int, default=200)
     p.add_argument("--weight-decay", type=float, default=0.01)
@@ -272,20 +274,27 @@ def train(args: argparse.Namespace) -> Trainer:
     mark, cpu_mark = time.monotonic(), time.process_time()
     saved = scored = trainer.seconds
     total, count = 0.0, 0
-    stop_at = getattr(args, "stop_at", math.inf)  # the tests stop a run half way
-    while trainer.progress() < 1.0 and trainer.iteration < stop_at:
+    paused = []  # by a signal: finish the step, save, leave
+
+    def pause(number: int, frame: object) -> None:
+        paused.append(number)
+
+    handlers = {number: signal.signal(number, pause) for number in (signal.SIGTERM, signal.SIGINT)}
+    while trainer.progress() < 1.0 and not paused:
         total, count = total + trainer.step(), count + 1
         now, cpu_now = time.monotonic(), time.process_time()
         trainer.seconds += now - mark
         trainer.cpu_seconds += cpu_now - cpu_mark
         mark, cpu_mark = now, cpu_now
-        last = trainer.progress() >= 1.0 or trainer.iteration >= stop_at
+        if args.pause_at and trainer.iteration >= args.pause_at:
+            paused.append(0)
+        last = trainer.progress() >= 1.0 or bool(paused)
         if trainer.iteration % args.log_every == 0 or last:
             row = {"iteration": trainer.iteration, "scenes": trainer.iteration * args.batch,
                    "seconds": round(trainer.seconds, 1), "cpu_seconds": round(trainer.cpu_seconds, 1),
                    "rate": trainer.rate(), "loss": round(float(total) / count, 5)}
             total, count = 0.0, 0
-            if last or trainer.seconds - scored >= args.score_minutes * 60.0:
+            if trainer.progress() >= 1.0 or trainer.seconds - scored >= args.score_minutes * 60.0:
                 row.update(trainer.validate())
                 scored = trainer.seconds
                 # Scoring counts as wall-clock time, not as training's processor time.
@@ -299,6 +308,8 @@ def train(args: argparse.Namespace) -> Trainer:
             trainer.write_log(out)
             curves(trainer.history, out / "curves.png")
             saved = trainer.seconds
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
     if args.export and trainer.progress() >= 1.0:
         from .export import export
 

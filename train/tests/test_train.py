@@ -141,9 +141,7 @@ def test_a_resumed_run_ends_with_the_same_weights_as_one_without_a_stop(tmp_path
     folder = write_scenes(tmp_path / "d")
     more = ["--optimiser", optimiser, "--ema", "0.9"]
     whole = train(options(folder, tmp_path / "whole", "--iterations", "8", *more))
-    half = options(folder, tmp_path / "parts", "--iterations", "8", *more)
-    half.stop_at = 4
-    stopped = train(half)
+    stopped = train(options(folder, tmp_path / "parts", "--iterations", "8", "--pause-at", "4", *more))
     assert stopped.iteration == 4
     resumed = train(options(folder, tmp_path / "parts", "--iterations", "8", *more))
     assert resumed.iteration == 8
