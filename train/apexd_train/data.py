@@ -40,6 +40,8 @@ class Scenes:
         self.observed = self._array("observed", np.uint8, device)
         self.truth = self._array("truth", np.uint8, device)
         self.frontier = self._array("frontier", np.float32, device)
+        # What the models call the world: 1 + family.
+        self.world = torch.from_numpy(self.family.astype(np.int64) + 1).to(device)
         self.side = self.observed.shape[1]
         if self.observed.shape != self.truth.shape or self.side != self.observed.shape[2]:
             raise ValueError(f"{folder}: observed {self.observed.shape}, truth {self.truth.shape}")
@@ -140,8 +142,11 @@ class Sampler:
         self.shares = torch.tensor(shares, dtype=torch.float64) / sum(shares)
         self.maps = symmetries(folders[0].side, self.device)
 
-    def batch(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
-        """observed [B, S, S], truth [B, S, S], frontier [B, 8, 2]."""
+    def batch(self, size: int, hide_world: float = 0.25) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """observed [B, S, S], truth [B, S, S], frontier [B, 8, 2], world [B].
+
+        The kind of world is hidden (0) with the given probability.
+        """
         g, device = self.generator, self.device
         counts = (self.shares * size).floor().long()
         extra = torch.rand(size - int(counts.sum()), generator=g, device=device).cpu().double()
@@ -152,15 +157,17 @@ class Sampler:
         parts = []
         for scenes, count in zip(self.folders, counts.tolist()):
             pick = torch.randint(len(scenes), (count,), generator=g, device=device)
-            parts.append((scenes.observed[pick], scenes.truth[pick], scenes.frontier[pick]))
-        observed, truth, frontier = (torch.cat(part) for part in zip(*parts))
+            parts.append((scenes.observed[pick], scenes.truth[pick], scenes.frontier[pick],
+                          scenes.world[pick]))
+        observed, truth, frontier, world = (torch.cat(part) for part in zip(*parts))
+        world = world * (torch.rand(size, generator=g, device=device) >= hide_world)
         if self.augment:
             element = torch.randint(8, (size,), generator=g, device=device)
             index = self.maps[element]
             observed = apply_symmetry(observed, index, 0)
             truth = apply_symmetry(truth, index, 255)
             frontier = turn_points(frontier, element, self.folders[0].resolution_m)
-        return observed, truth, frontier
+        return observed, truth, frontier, world
 
 
 def target_weights(observed: Tensor, truth: Tensor, distance_m: Tensor, radius_m: float,

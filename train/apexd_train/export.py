@@ -1,6 +1,6 @@
 """A checkpoint to one ONNX file, checked against the weights it came from.
 
-    python -m apexd_train.export CHECKPOINT FILE.onnx [--range 7.5] [--calibration FILE.json]
+    python -m apexd_train.export CHECKPOINT FILE.onnx [--range 7.5] [--world thin]
 
 Inputs `context` [C, 3] and `target` [T, 2], output `probability` [T]; the inner tensor
 `representation` separates what follows from the context alone from what also needs targets.
@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from .models import ModelConfig, build
+from .trust import Familiarity
 
 OPSET = 13
 CHECKED_SIZES = ((1, 1), (93, 2669), (434, 2669), (4000, 17), (7, 10816))
@@ -26,12 +27,17 @@ TOLERANCE = 1e-5
 
 
 class Encoder(nn.Module):
-    def __init__(self, model: nn.Module):
+    """Context to representation, and to the familiarity [1] when statistics for it are given."""
+
+    def __init__(self, model: nn.Module, familiarity: nn.Module | None):
         super().__init__()
-        self.model = model
+        self.model, self.familiarity = model, familiarity
 
     def forward(self, context: Tensor):
-        return self.model.encode(context)
+        if self.familiarity is None:
+            return self.model.encode(context)
+        features = self.model.features(self.model.grid_of(context), self.model.worlds(1, context.device))
+        return self.model.bordered(self.model.head_on(*features)), self.familiarity(features[-1])
 
 
 class Decoder(nn.Module):
@@ -45,7 +51,7 @@ class Decoder(nn.Module):
 
 def folded(model: nn.Module) -> nn.Module:
     """A copy in which every batch norm is part of the convolution before it."""
-    model = copy.deepcopy(model).eval()
+    model = copy.deepcopy(model).eval()  # keeps the kind of world
     for module in list(model.modules()):
         if isinstance(module, nn.Sequential) and len(module) == 2 and isinstance(module[1], nn.BatchNorm2d):
             module[0] = fuse_conv_bn_eval(module[0], module[1])
@@ -82,7 +88,7 @@ def rename(graph, old: str, new: str) -> None:
         node.output[:] = [new if name == old else name for name in node.output]
 
 
-def to_onnx(model: nn.Module, metadata: dict[str, str]):
+def to_onnx(model: nn.Module, metadata: dict[str, str], familiarity: nn.Module | None = None):
     """The ModelProto of a module (evaluation mode), with metadata_props."""
     import onnx
     import onnx.compose
@@ -91,10 +97,15 @@ def to_onnx(model: nn.Module, metadata: dict[str, str]):
     context, target = example(model.config, 50, 20)
     with torch.no_grad():
         representation = model.encode(context)
-    encoder = trace(Encoder(model), (context,), ["context"], ["representation"], {"context": {0: "C"}}, "c/")
+    outputs = ["representation"] + (["familiarity"] if familiarity is not None else [])
+    encoder = trace(Encoder(model, familiarity), (context,), ["context"], outputs, {"context": {0: "C"}}, "c/")
     decoder = trace(Decoder(model), (representation, target), ["representation", "target"], ["probability"],
                     {"target": {0: "T"}, "probability": {0: "T"}}, "t/")
     merged = onnx.compose.merge_models(encoder, decoder, io_map=[("representation", "representation")])
+    # Probability first, whatever the order of merging.
+    ordered = sorted(merged.graph.output, key=lambda value: value.name != "probability")
+    del merged.graph.output[:]
+    merged.graph.output.extend(ordered)
     merged.ir_version = 8
     merged.producer_name = "apexd"
     merged.graph.name = model.config.architecture
@@ -141,13 +152,14 @@ def check(model: nn.Module, proto) -> float:
     return worst
 
 
-def metadata_of(state: dict, range_m: float | None, calibration: str | None) -> dict[str, str]:
+def metadata_of(state: dict, range_m: float | None) -> dict[str, str]:
     config, args = ModelConfig(**state["config"]), state["args"]
     training = {
         "iterations": state["iteration"], "scenes": state["iteration"] * args["batch"],
         "seconds": round(state["seconds"]), "cpu_seconds": round(state["cpu_seconds"]),
         "device": args["device"], "dataset_scenes": sum(d["scenes"] for d in state["data"]),
-        "loss_radius_m": args["radius"],
+        "loss_radius_m": args["radius"], "precision": args["precision"], "batch": args["batch"],
+        "before": [{k: round(v) for k, v in b.items() if k != "data"} for b in state.get("before", [])],
     }
     return {
         "format_version": "1", "architecture": config.architecture, "frame": "robot-cell",
@@ -155,22 +167,41 @@ def metadata_of(state: dict, range_m: float | None, calibration: str | None) -> 
         "lidar_range_m": ",".join(f"{x:g}" for x in state["lidar_m"]),
         "prediction_range_m": f"{range_m or args['radius']:g}", "context": config.context(),
         "trained_on": ",".join(d["sha256"] for d in state["data"]),
-        "training": json.dumps(training), "calibration": calibration or "{}",
+        "training": json.dumps(training), "calibration": "{}",
     }
 
 
-def export(checkpoint: Path, file: Path, range_m: float | None = None, calibration: str | None = None) -> float:
-    """Writes `file`; returns the largest difference to the weights."""
+WORLD_NAMES = ("unknown", "thin", "solid", "branching", "map")
+
+
+def export(checkpoint: Path, file: Path, range_m: float | None = None, world: int = 0) -> float:
+    """Writes `file`; returns the largest difference to the weights.
+
+    Takes calibration.json and familiarity.pt (see trust.py) from the checkpoint's folder, if there.
+    """
     state = torch.load(checkpoint, map_location="cpu")
     model = build(ModelConfig(**state["config"]))
     model.load_state_dict(state["ema"])
     model.eval()
-    proto = to_onnx(model, metadata_of(state, range_m, calibration))
+    model.world = world
+    metadata = metadata_of(state, range_m)
+    metadata["world"] = WORLD_NAMES[world]
+    calibration, statistics = (checkpoint.parent / name for name in ("calibration.json", "familiarity.pt"))
+    familiarity = None
+    if statistics.exists():
+        saved = torch.load(statistics, map_location="cpu")
+        familiarity = Familiarity(*saved["whiten"].shape)
+        familiarity.load_state_dict(saved)
+    if calibration.exists():
+        metadata["calibration"] = json.dumps(json.loads(calibration.read_text())[str(world)])
+    proto = to_onnx(model, metadata, familiarity)
     worst = check(model, proto)
     if not worst <= TOLERANCE:
         raise ValueError(f"{file}: differs from the weights by {worst:.2g}, more than {TOLERANCE:g}")
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(proto.SerializeToString())
+    partial = file.with_suffix(".partial")
+    partial.write_bytes(proto.SerializeToString())
+    partial.replace(file)
     print(f"{file}: {file.stat().st_size} bytes, within {worst:.1e} of the weights", flush=True)
     return worst
 
@@ -180,9 +211,9 @@ def main() -> None:
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("file", type=Path)
     parser.add_argument("--range", type=float, help="prediction range to declare, m (default: the loss radius)")
-    parser.add_argument("--calibration", type=Path, help="JSON text for the metadata")
+    parser.add_argument("--world", choices=WORLD_NAMES, default="unknown", help="kind of world to answer for")
     args = parser.parse_args()
-    export(args.checkpoint, args.file, args.range, args.calibration.read_text() if args.calibration else None)
+    export(args.checkpoint, args.file, args.range, WORLD_NAMES.index(args.world))
 
 
 if __name__ == "__main__":

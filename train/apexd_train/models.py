@@ -2,15 +2,21 @@
 
 Every model maps what has been seen to the log-odds of occupancy of any set of cells:
 
-    logits(observed, cells)      training: observed uint8 [B, S, S] (0 unknown, 1 free, 2 occupied),
+    logits(observed, cells, world)  training: observed uint8 [B, S, S] (0 unknown, 1 free, 2 occupied),
                                  cells int64 [B, T] flat indices j * S + i, or None for every cell;
-                                 returns float32 [B, T] (or [B, S * S])
+                                 world int64 [B], what kind of world it is; returns float32 [B, T]
+                                 (or [B, S * S])
     encode(context)              export: context float32 [C, 3] (x, y in metres, label 0 free,
                                  1 occupied), returns the tensor `representation`
     decode(representation, target)   export: target float32 [T, 2] (m), returns logits [T]
 
 Coordinates are metres relative to the lower left corner of the robot's cell, which is cell
 (S / 2, S / 2) of the crop; cell (i, j) spans x from (i - S/2) r to (i + 1 - S/2) r.
+
+The kinds of world look alike through a lidar: behind a wall is the next hallway in one, rock in
+another. So the grid models take the kind as a condition, an embedding that is learnt: UNKNOWN_WORLD,
+or 1 + the number of the family. Training hides the kind in a share of the scenes. A file is exported
+for one kind (or for the unknown), which then is a constant inside of it.
 """
 
 from __future__ import annotations
@@ -40,6 +46,10 @@ class ModelConfig:
     def context(self) -> str:
         """Which observed cells the model takes: `all` or `walls-and-frontier`."""
         return "walls-and-frontier" if self.architecture == "setcnp" else "all"
+
+
+UNKNOWN_WORLD = 0
+WORLDS = 5  # unknown, thin, solid, branching, map file
 
 
 def logit(p: float) -> float:
@@ -106,14 +116,20 @@ class GridModel(nn.Module):
     def __init__(self, config: ModelConfig):
         super().__init__()
         self.config = config
+        self.world = UNKNOWN_WORLD  # of what `encode` answers for
 
-    def network(self, grid: Tensor) -> Tensor:
+    def network(self, grid: Tensor, world: Tensor) -> Tensor:
         raise NotImplementedError
 
-    def logits(self, observed: Tensor, cells: Tensor | None = None) -> Tensor:
+    def worlds(self, count: int, device: torch.device) -> Tensor:
+        return torch.full((count,), self.world, dtype=torch.int64, device=device)
+
+    def logits(self, observed: Tensor, cells: Tensor | None = None, world: Tensor | None = None) -> Tensor:
         grid = torch.stack([observed > 0, observed == 2], 1).float()
         grid = grid.to(memory_format=torch.channels_last)
-        out = self.network(grid).float().flatten(1)
+        if world is None:
+            world = self.worlds(len(grid), grid.device)
+        out = self.network(grid, world).float().flatten(1)
         return out if cells is None else out.gather(1, cells)
 
     def _padded_index(self, xy: Tensor) -> Tensor:
@@ -123,17 +139,30 @@ class GridModel(nn.Module):
         cell = cell.clamp(0.0, side + 1.0)
         return (cell[:, 1] * (side + 2) + cell[:, 0]).to(torch.int64)
 
-    def encode(self, context: Tensor) -> Tensor:
+    def grid_of(self, context: Tensor) -> Tensor:
+        """Context [C, 3] scattered on the grid: [1, 2, S, S]."""
         side = self.config.crop_cells
         code = torch.zeros((side + 2) ** 2, device=context.device)
         code = code.scatter(0, self._padded_index(context[:, :2]), context[:, 2] + 1.0)
         code = code.reshape(1, 1, side + 2, side + 2)[:, :, 1:-1, 1:-1]
-        grid = torch.cat([code.clamp(0.0, 1.0), code.clamp(1.0, 2.0) - 1.0], 1)
-        out = self.network(grid).float()
-        return F.pad(out, (1, 1, 1, 1), value=logit(self.config.prior)).reshape(-1)
+        return torch.cat([code.clamp(0.0, 1.0), code.clamp(1.0, 2.0) - 1.0], 1)
+
+    def bordered(self, logits: Tensor) -> Tensor:
+        """Logits [1, 1, S, S] with a border of the prior, flat: the representation."""
+        return F.pad(logits.float(), (1, 1, 1, 1), value=logit(self.config.prior)).reshape(-1)
+
+    def encode(self, context: Tensor) -> Tensor:
+        return self.bordered(self.network(self.grid_of(context), self.worlds(1, context.device)))
 
     def decode(self, representation: Tensor, target: Tensor) -> Tensor:
         return representation.index_select(0, self._padded_index(target))
+
+
+def world_bias(channels: int) -> nn.Embedding:
+    """One bias per channel and kind of world, zero at first."""
+    embedding = nn.Embedding(WORLDS, channels)
+    nn.init.zeros_(embedding.weight)
+    return embedding
 
 
 class Conv(nn.Sequential):
@@ -180,18 +209,27 @@ class ConvCnp(GridModel):
         self.out0 = Conv(c0, c0, norm)
         self.head = nn.Conv2d(c0, 4, 1)
         nn.init.constant_(self.head.bias, logit(config.prior))
+        self.world0, self.world2 = world_bias(c0), world_bias(c2)
 
-    def network(self, grid: Tensor) -> Tensor:
-        x0 = F.relu(self.stem(space_to_depth(grid)))
+    def features(self, grid: Tensor, world: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What the way down gives at the three levels, the coarsest last."""
+        x0 = F.relu(self.stem(space_to_depth(grid)) + self.world0(world)[:, :, None, None])
         x0 = F.relu(self.in0(x0))
         x1 = F.relu(self.down1(x0))
         x1 = F.relu(self.in1(x1))
-        x2 = self.bottom(F.relu(self.down2(x1)))
+        x2 = F.relu(self.down2(x1) + self.world2(world)[:, :, None, None])
+        return x0, x1, self.bottom(x2)
+
+    def head_on(self, x0: Tensor, x1: Tensor, x2: Tensor) -> Tensor:
+        """Logits [B, 1, S, S] from the features."""
         x1 = F.relu(x1 + depth_to_space(self.lift1(x2)))
         x1 = F.relu(self.out1(x1))
         x0 = F.relu(x0 + depth_to_space(self.lift0(x1)))
         x0 = F.relu(self.out0(x0))
         return depth_to_space(self.head(x0))
+
+    def network(self, grid: Tensor, world: Tensor) -> Tensor:
+        return self.head_on(*self.features(grid, world))
 
 
 class UNet(GridModel):
@@ -211,15 +249,16 @@ class UNet(GridModel):
             cin = width
         self.head = nn.Conv2d(cin, 1, 1)
         nn.init.constant_(self.head.bias, logit(config.prior))
+        self.worlds_in = nn.ModuleList(world_bias(width) for width in widths)
 
     @staticmethod
     def _pair(cin: int, cout: int, norm: bool) -> nn.Sequential:
         return nn.Sequential(Conv(cin, cout, norm), nn.ReLU(), Conv(cout, cout, norm), nn.ReLU())
 
-    def network(self, grid: Tensor) -> Tensor:
+    def network(self, grid: Tensor, world: Tensor) -> Tensor:
         skips, x = [], grid
-        for level, pair in enumerate(self.pairs):
-            x = pair(x if level == 0 else F.max_pool2d(x, 2))
+        for level, (pair, bias) in enumerate(zip(self.pairs, self.worlds_in)):
+            x = pair(x if level == 0 else F.max_pool2d(x, 2)) + bias(world)[:, :, None, None]
             skips.append(x)
         skips.pop()
         for up in self.ups:
@@ -249,6 +288,7 @@ class SetCnp(nn.Module):
     def __init__(self, config: ModelConfig):
         super().__init__()
         self.config = config
+        self.world = UNKNOWN_WORLD  # no condition: the paper's network has none
         self.plain = config.architecture == "literal"
         (width,) = config.channels or (256,)
         inputs = 2 if self.plain else 2 + 4 * len(self.PERIODS_M)
@@ -289,7 +329,7 @@ class SetCnp(nn.Module):
         inner = inner + F.linear(r, first.weight[:, n:], first.bias)[:, None]
         return self.g[1:](inner)[..., 0]
 
-    def logits(self, observed: Tensor, cells: Tensor | None = None) -> Tensor:
+    def logits(self, observed: Tensor, cells: Tensor | None = None, world: Tensor | None = None) -> Tensor:
         config, side = self.config, self.config.crop_cells
         points = config.context_points if self.training else 0
         context, mask = context_of(observed, config.context(), points, config.resolution_m)

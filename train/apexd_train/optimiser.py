@@ -48,7 +48,8 @@ def optimisers(model: nn.Module, name: str, lr: float, weight_decay: float) -> l
     """`adamw`: one AdamW. `muon`: Muon for hidden matrices and AdamW for all else."""
     if name == "adamw":
         return [torch.optim.AdamW(model.parameters(), lr, weight_decay=weight_decay)]
-    matrices = [p for p in model.parameters() if p.dim() > 1 and len(p) > 4]
+    # Few rows: heads and embeddings, no hidden matrices.
+    matrices = [p for p in model.parameters() if p.dim() > 1 and len(p) > 8]
     chosen = set(map(id, matrices))
     others = [p for p in model.parameters() if id(p) not in chosen]
     return [Muon(matrices, lr, weight_decay), torch.optim.AdamW(others, lr, weight_decay=weight_decay)]

@@ -50,12 +50,16 @@ def summary(p: np.ndarray, y: np.ndarray) -> dict:
     }
 
 
-def predict(model, observed: torch.Tensor, batch: int = 32) -> np.ndarray:
-    """Probability of every cell: float32 [N, S, S]. `model` is a module or an onnxruntime session."""
+def predict(model, observed: torch.Tensor, batch: int = 32, world: int | None = None) -> np.ndarray:
+    """Probability of every cell: float32 [N, S, S]. `model` is a module or an onnxruntime session.
+
+    `world`: the kind of world the module is told, by default the unknown.
+    """
     out = []
     if not isinstance(model, torch.nn.Module):
         return predict_onnx(model, observed.cpu().numpy())
     model.eval()
+    model.world = world or 0
     with torch.no_grad():
         for part in observed.split(batch):
             logits = [model.logits(part)] if hasattr(model, "network") else [
@@ -141,13 +145,13 @@ def edges(p: np.ndarray, observed: np.ndarray, truth: np.ndarray, distance_m: np
 
 
 def score(model, scenes: Scenes, pick: np.ndarray, radii_m: tuple[float, ...] = (5.0, 7.5),
-          with_edges: bool = True, p: np.ndarray | None = None) -> dict:
+          with_edges: bool = True, p: np.ndarray | None = None, world: int | None = None) -> dict:
     """All scores of the scenes `pick` (indices)."""
     index = torch.from_numpy(np.asarray(pick))
     observed, truth = scenes.observed[index], scenes.truth[index]
     distance = frontier_distance(scenes.frontier[index], scenes.side, scenes.resolution_m)
     distance = distance.reshape(observed.shape).cpu().numpy()
-    p = predict(model, observed) if p is None else p
+    p = predict(model, observed, world=world) if p is None else p
     observed, truth = observed.cpu().numpy(), truth.cpu().numpy()
     target = (observed == 0) & (truth != 255)
     out = {"scenes": len(pick)}
@@ -200,11 +204,12 @@ def main() -> None:
     parser.add_argument("--family", type=int)
     parser.add_argument("--kind", type=int)
     parser.add_argument("--lidar", type=float)
+    parser.add_argument("--world", type=int, default=0, help="kind of world to tell: 0 unknown, 1 + family")
     args = parser.parse_args()
     scenes = Scenes(args.data)
     pick = choose(scenes, args.scenes, args.family, args.kind, args.lidar)
-    result = score(load(args.model), scenes, pick, with_edges=args.family in (None, 0, 2))
-    print(json.dumps({"model": args.model, "data": args.data, **result}))
+    result = score(load(args.model), scenes, pick, with_edges=args.family in (None, 0, 2), world=args.world)
+    print(json.dumps({"model": args.model, "data": args.data, "world": args.world, **result}))
 
 
 if __name__ == "__main__":

@@ -56,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--near", type=float, default=0.0, help="cells within this weigh --near-weight, m")
     p.add_argument("--near-weight", type=float, default=1.0)
     p.add_argument("--far-weight", type=float, default=0.0, help="weight beyond the radius (grid models)")
+    p.add_argument("--hide-world", type=float, default=0.25, help="share of scenes with the kind of world hidden")
     p.add_argument("--no-augment", action="store_true", help="no D4 symmetries")
     p.add_argument("--initial", help="checkpoint whose weights to start from (fine-tuning)")
     p.add_argument("--seed", type=int, default=0)
@@ -105,11 +106,16 @@ class Trainer:
             args.architecture, folders[0].side, folders[0].resolution_m, round(folders[0].prior(), 4),
             tuple(args.channels), args.bottom_blocks, not args.no_norm, args.context_points)
         self.model = build(config)
+        self.before: list[dict] = []  # the trainings that the first weights come from
         if args.initial:
             first = torch.load(args.initial, map_location="cpu")
             config = ModelConfig(**first["config"])
             self.model = build(config)
-            self.model.load_state_dict(first["ema"])
+            self.before = [*first.get("before", []), {
+                key: first[key] for key in ("iteration", "seconds", "cpu_seconds", "data")}]
+            missing = self.model.load_state_dict(first["ema"], strict=False)
+            if missing.unexpected_keys:
+                raise ValueError(f"{args.initial}: does not fit, {missing}")
         self.config = config
         # The layout that convolutions like best, on CPU and GPU.
         self.model.to(self.device, memory_format=torch.channels_last)
@@ -132,7 +138,7 @@ class Trainer:
     def loss(self) -> Tensor:
         """Weighted BCE of one batch, sampled on the device."""
         args = self.args
-        observed, truth, frontier = self.sampler.batch(args.batch)
+        observed, truth, frontier, world = self.sampler.batch(args.batch, args.hide_world)
         distance = frontier_distance(frontier, self.config.crop_cells, self.config.resolution_m)
         grid = hasattr(self.model, "network")
         weight = target_weights(observed, truth, distance, args.radius, args.near, args.near_weight,
@@ -149,7 +155,7 @@ class Trainer:
         if args.precision == "bf16":
             cast = torch.autocast(self.device.type, dtype=torch.bfloat16)
         with cast:
-            logits = self.model.logits(observed, cells)
+            logits = self.model.logits(observed, cells, world)
         losses = F.binary_cross_entropy_with_logits(logits, occupied, reduction="none")
         return (losses * weight).sum() / weight.sum().clamp(min=1.0)
 
@@ -180,7 +186,7 @@ class Trainer:
             "config": dataclasses.asdict(self.config), "model": self.model.state_dict(),
             "ema": self.ema.state, "optimisers": [o.state_dict() for o in self.optimisers], "rng": rng,
             "iteration": self.iteration, "seconds": self.seconds, "cpu_seconds": self.cpu_seconds,
-            "history": self.history, "args": vars(self.args),
+            "before": self.before, "history": self.history, "args": vars(self.args),
             "data": [{"folder": str(s.folder), "sha256": s.sha256, "scenes": len(s)} for s in self.folders],
             "lidar_m": sorted({float(round(x, 3)) for s in self.folders for x in set(s.lidar.tolist())}),
         }
@@ -200,7 +206,7 @@ class Trainer:
         for optimiser, saved in zip(self.optimisers, state["optimisers"]):
             optimiser.load_state_dict(saved)
         self.ema.state = {k: v.to(self.device) for k, v in state["ema"].items()}
-        self.iteration, self.history = state["iteration"], state["history"]
+        self.iteration, self.history, self.before = state["iteration"], state["history"], state["before"]
         self.seconds, self.cpu_seconds = state["seconds"], state["cpu_seconds"]
         self.generator.set_state(state["rng"]["sampler"])
         torch.set_rng_state(state["rng"]["torch"])
@@ -208,14 +214,15 @@ class Trainer:
             torch.cuda.set_rng_state(state["rng"]["cuda"])
 
     def validate(self) -> dict:
-        """Scores of the averaged weights on every validation folder, the edge metric left out."""
+        """Log loss of the averaged weights on every validation folder and family, the kind known or not."""
         model, out = self.averaged(), {}
         for scenes in self.validation:
-            pick = choose(scenes, self.args.score_scenes, None, None, None)
-            s = score(model, scenes, pick, with_edges=False)
-            name = scenes.folder.name
-            out[f"{name} R5"] = round(s["R5"]["log_loss"], 5)
-            out[f"{name} R7.5"] = round(s["R7.5"]["log_loss"], 5)
+            for family in sorted(set(scenes.family.tolist())):
+                pick = choose(scenes, self.args.score_scenes, family, None, None)
+                for world in (0, family + 1) if hasattr(model, "network") else (0,):
+                    s = score(model, scenes, pick, with_edges=False, world=world)
+                    for radius in ("R5", "R7.5"):
+                        out[f"{scenes.folder.name} f{family} w{world} {radius}"] = round(s[radius]["log_loss"], 5)
         return out
 
     def write_log(self, out: Path) -> None:

@@ -1,0 +1,161 @@
+"""How far to trust a prediction: calibration by distance, and a signal for contexts unlike the training's.
+
+    python -m apexd_train.trust RUN/last.pt --calibrate DIR --fit DIR [DIR ...] --like DIR ... --unlike DIR ...
+
+Writes RUN/calibration.json (temperatures by distance from the frontier, fitted on scenes of training
+seeds that the network has not seen) and RUN/familiarity.pt (statistics of the pooled bottleneck), and
+prints how well two signals tell `--like` from `--unlike` scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from .data import Scenes, frontier_distance
+from .score import DISTANCE_BINS_M, auc, calibration_error, choose, log_loss, predict
+from .train import load_model
+
+
+def pooled(features: Tensor) -> Tensor:
+    """Mean and maximum of the coarsest features over the grid: [B, 2 c]."""
+    return torch.cat([features.mean((2, 3)), features.amax((2, 3))], 1)
+
+
+class Familiarity(nn.Module):
+    """1 for contexts like those of the training, 0 for others, 0.5 at the 99th percentile of the former.
+
+    The Mahalanobis distance d of the pooled bottleneck features from those of the training, in the
+    leading principal components; then a sigmoid of log d^2.
+    """
+
+    def __init__(self, inputs: int, components: int):
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("whiten", torch.zeros(inputs, components))
+        self.register_buffer("threshold", torch.zeros(()))
+        self.register_buffer("width", torch.ones(()))
+
+    def log_distance(self, features: Tensor) -> Tensor:
+        z = (pooled(features) - self.mean) @ self.whiten
+        return torch.log((z * z).mean(1) + 1e-6)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return torch.sigmoid((self.threshold - self.log_distance(features)) / self.width)
+
+    @staticmethod
+    def fit(features: Tensor, components: int = 64) -> "Familiarity":
+        """From pooled features [N, 2 c] of training scenes."""
+        components = min(components, features.shape[1])
+        out = Familiarity(features.shape[1], components)
+        out.mean.copy_(features.mean(0))
+        centred = (features - out.mean).double()
+        values, vectors = torch.linalg.eigh(centred.T @ centred / len(centred))
+        values, vectors = values.flip(0)[:components], vectors.flip(1)[:, :components]
+        floor = 1e-3 * values[0]
+        out.whiten.copy_((vectors / (values + floor).sqrt()).float())
+        z = centred.float() @ out.whiten
+        s = torch.log((z * z).mean(1) + 1e-6)
+        half, tail = torch.quantile(s, 0.5), torch.quantile(s, 0.99)
+        out.threshold.copy_(tail)
+        out.width.copy_((tail - half) / 3.0)
+        return out
+
+
+def pooled_features(model: nn.Module, observed: Tensor, batch: int = 32) -> Tensor:
+    out = []
+    with torch.no_grad():
+        for part in observed.split(batch):
+            grid = torch.stack([part > 0, part == 2], 1).float()
+            out.append(pooled(model.features(grid, model.worlds(len(grid), grid.device))[2]))
+    return torch.cat(out)
+
+
+def calibration(model: nn.Module, scenes: Scenes, pick: np.ndarray, world: int) -> dict:
+    """Temperatures by distance from the nearest frontier cluster: logit / temperature is calibrated."""
+    index = torch.from_numpy(pick)
+    observed, truth = scenes.observed[index], scenes.truth[index]
+    distance = frontier_distance(scenes.frontier[index], scenes.side, scenes.resolution_m)
+    distance = distance.reshape(observed.shape).numpy()
+    p = np.clip(predict(model, observed, world=world).astype(np.float64), 1e-6, 1 - 1e-6)
+    logit = np.log(p / (1 - p))
+    target, y = ((observed == 0) & (truth != 255)).numpy(), (truth == 1).numpy()
+    out = {"distance": "nearest frontier cluster", "edges_m": list(DISTANCE_BINS_M), "temperature": [],
+           "log_loss": [], "log_loss_after": [], "ece": [], "cells": []}
+    for low, high in zip(DISTANCE_BINS_M, DISTANCE_BINS_M[1:]):
+        mask = target & (distance >= low) & (distance < high)
+        z, label = logit[mask], y[mask]
+        tried = np.geomspace(0.6, 1.7, 41)
+        losses = [log_loss(1 / (1 + np.exp(-z / t)), label) for t in tried] if len(z) else [0.0] * 41
+        best = int(np.argmin(losses))
+        out["temperature"].append(round(float(tried[best]) if len(z) > 1000 else 1.0, 3))
+        out["log_loss"].append(round(log_loss(p[mask], label), 5) if len(z) else None)
+        out["log_loss_after"].append(round(float(losses[best]), 5) if len(z) else None)
+        out["ece"].append(round(calibration_error(p[mask], label), 5) if len(z) else None)
+        out["cells"].append(int(mask.sum()))
+    return out
+
+
+def disagreement(first: nn.Module, second: nn.Module, scenes: Scenes, pick: np.ndarray) -> np.ndarray:
+    """Mean |p - q| of two networks over unobserved cells within 7.5 m of the frontier, per scene."""
+    index = torch.from_numpy(pick)
+    observed = scenes.observed[index]
+    distance = frontier_distance(scenes.frontier[index], scenes.side, scenes.resolution_m)
+    mask = ((observed == 0) & (distance.reshape(observed.shape) <= 7.5)).numpy()
+    gap = np.abs(predict(first, observed) - predict(second, observed)) * mask
+    return gap.sum((1, 2)) / np.maximum(mask.sum((1, 2)), 1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("--calibrate", required=True, help="folder of unseen training-range scenes")
+    parser.add_argument("--fit", nargs="+", required=True, help="training folders, for the statistics")
+    parser.add_argument("--like", nargs="*", default=[])
+    parser.add_argument("--unlike", nargs="*", default=[])
+    parser.add_argument("--second", type=Path, help="another checkpoint, for the disagreement of two networks")
+    parser.add_argument("--scenes", type=int, default=400)
+    args = parser.parse_args()
+    model = load_model(args.checkpoint)
+    out = args.checkpoint.parent
+    scenes = Scenes(args.calibrate)
+    result = calibration(model, scenes, choose(scenes, args.scenes, None, None, None))
+    (out / "calibration.json").write_text(json.dumps(result))
+    print(json.dumps(result))
+    features = []
+    for folder in args.fit:
+        scenes = Scenes(folder)
+        scenes.refuse_held_out()
+        features.append(pooled_features(model, scenes.observed[choose(scenes, 1000, None, None, None)]))
+    familiarity = Familiarity.fit(torch.cat(features))
+    torch.save(familiarity.state_dict(), out / "familiarity.pt")
+    second = load_model(args.second) if args.second else None
+    values: dict[str, list] = {"like": [], "unlike": []}
+    for group, folders in (("like", args.like), ("unlike", args.unlike)):
+        for folder in folders:
+            scenes = Scenes(folder)
+            pick = choose(scenes, args.scenes, None, None, None)
+            with torch.no_grad():
+                z = (pooled_features(model, scenes.observed[pick]) - familiarity.mean) @ familiarity.whiten
+                s = torch.log((z * z).mean(1) + 1e-6)
+                f = torch.sigmoid((familiarity.threshold - s) / familiarity.width)
+            d = disagreement(model, second, scenes, pick) if second is not None else np.zeros(len(pick))
+            values[group].append((folder, s.numpy(), d))
+            print(json.dumps({"folder": folder, "group": group, "familiarity": [
+                round(float(q), 3) for q in np.quantile(f.numpy(), [0.05, 0.5, 0.95])],
+                "disagreement": round(float(d.mean()), 4)}))
+    for like in values["like"]:
+        for unlike in values["unlike"]:
+            y = np.r_[np.zeros(len(like[1]), bool), np.ones(len(unlike[1]), bool)]
+            print(json.dumps({"like": like[0], "unlike": unlike[0],
+                              "auroc_features": auc(np.r_[like[1], unlike[1]], y),
+                              "auroc_disagreement": auc(np.r_[like[2], unlike[2]], y)}))
+
+
+if __name__ == "__main__":
+    main()
