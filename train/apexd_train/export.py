@@ -189,7 +189,7 @@ def export(checkpoint: Path, file: Path, range_m: float | None = None, world: in
     calibration, statistics = (checkpoint.parent / name for name in ("calibration.json", "familiarity.pt"))
     familiarity = None
     if statistics.exists():
-        saved = torch.load(statistics, map_location="cpu")
+        saved = torch.load(statistics, map_location="cpu")[world]
         familiarity = Familiarity(*saved["whiten"].shape)
         familiarity.load_state_dict(saved)
     if calibration.exists():

@@ -3,8 +3,9 @@
     python -m apexd_train.trust RUN/last.pt --calibrate DIR --fit DIR [DIR ...] --like DIR ... --unlike DIR ...
 
 Writes RUN/calibration.json (temperatures by distance from the frontier, fitted on scenes of training
-seeds that the network has not seen) and RUN/familiarity.pt (statistics of the pooled bottleneck), and
-prints how well two signals tell `--like` from `--unlike` scenes.
+seeds that the network has not seen) and RUN/familiarity.pt (statistics of the pooled bottleneck), both
+for the unknown kind of world (key 0) and for each known one (key 1 + family), and prints how well two
+signals tell `--like` from `--unlike` scenes for the kind `--world`.
 """
 
 from __future__ import annotations
@@ -67,8 +68,9 @@ class Familiarity(nn.Module):
         return out
 
 
-def pooled_features(model: nn.Module, observed: Tensor, batch: int = 32) -> Tensor:
-    out = []
+def pooled_features(model: nn.Module, observed: Tensor, world: int, batch: int = 32) -> Tensor:
+    """Pooled features of scenes [N, S, S] for a kind of world: [N, 2 c]."""
+    out, model.world = [], world
     with torch.no_grad():
         for part in observed.split(batch):
             grid = torch.stack([part > 0, part == 2], 1).float()
@@ -101,13 +103,14 @@ def calibration(model: nn.Module, scenes: Scenes, pick: np.ndarray, world: int) 
     return out
 
 
-def disagreement(first: nn.Module, second: nn.Module, scenes: Scenes, pick: np.ndarray) -> np.ndarray:
+def disagreement(first: nn.Module, second: nn.Module, scenes: Scenes, pick: np.ndarray,
+                 world: int) -> np.ndarray:
     """Mean |p - q| of two networks over unobserved cells within 7.5 m of the frontier, per scene."""
     index = torch.from_numpy(pick)
     observed = scenes.observed[index]
     distance = frontier_distance(scenes.frontier[index], scenes.side, scenes.resolution_m)
     mask = ((observed == 0) & (distance.reshape(observed.shape) <= 7.5)).numpy()
-    gap = np.abs(predict(first, observed) - predict(second, observed)) * mask
+    gap = np.abs(predict(first, observed, world=world) - predict(second, observed, world=world)) * mask
     return gap.sum((1, 2)) / np.maximum(mask.sum((1, 2)), 1)
 
 
@@ -119,32 +122,39 @@ def main() -> None:
     parser.add_argument("--like", nargs="*", default=[])
     parser.add_argument("--unlike", nargs="*", default=[])
     parser.add_argument("--second", type=Path, help="another checkpoint, for the disagreement of two networks")
+    parser.add_argument("--world", type=int, default=0, help="kind of world: 0 unknown, 1 + family")
     parser.add_argument("--scenes", type=int, default=400)
     args = parser.parse_args()
     model = load_model(args.checkpoint)
     out = args.checkpoint.parent
     scenes = Scenes(args.calibrate)
-    result = calibration(model, scenes, choose(scenes, args.scenes, None, None, None))
-    (out / "calibration.json").write_text(json.dumps(result))
-    print(json.dumps(result))
-    features = []
-    for folder in args.fit:
-        scenes = Scenes(folder)
-        scenes.refuse_held_out()
-        features.append(pooled_features(model, scenes.observed[choose(scenes, 1000, None, None, None)]))
-    familiarity = Familiarity.fit(torch.cat(features))
-    torch.save(familiarity.state_dict(), out / "familiarity.pt")
+    training = [Scenes(folder) for folder in args.fit]
+    for folder in training:
+        folder.refuse_held_out()
+    temperatures, statistics = {}, {}
+    for family in [None, *sorted(set(scenes.family.tolist()))]:
+        world = 0 if family is None else family + 1
+        pick = choose(scenes, args.scenes, family, None, None)
+        temperatures[world] = calibration(model, scenes, pick, world)
+        print(json.dumps({"world": world, **temperatures[world]}))
+        features = [pooled_features(model, t.observed[choose(t, 1000, family, None, None)], world)
+                    for t in training if family is None or (t.family == family).any()]
+        statistics[world] = Familiarity.fit(torch.cat(features))
+    (out / "calibration.json").write_text(json.dumps(temperatures))
+    torch.save({world: f.state_dict() for world, f in statistics.items()}, out / "familiarity.pt")
+    familiarity = statistics[args.world]
     second = load_model(args.second) if args.second else None
     values: dict[str, list] = {"like": [], "unlike": []}
     for group, folders in (("like", args.like), ("unlike", args.unlike)):
         for folder in folders:
             scenes = Scenes(folder)
-            pick = choose(scenes, args.scenes, None, None, None)
+            known = args.world - 1 if group == "like" and args.world else None
+            pick = choose(scenes, args.scenes, known, None, None)
             with torch.no_grad():
-                z = (pooled_features(model, scenes.observed[pick]) - familiarity.mean) @ familiarity.whiten
+                z = (pooled_features(model, scenes.observed[pick], args.world) - familiarity.mean) @ familiarity.whiten
                 s = torch.log((z * z).mean(1) + 1e-6)
                 f = torch.sigmoid((familiarity.threshold - s) / familiarity.width)
-            d = disagreement(model, second, scenes, pick) if second is not None else np.zeros(len(pick))
+            d = disagreement(model, second, scenes, pick, args.world) if second is not None else np.zeros(len(pick))
             values[group].append((folder, s.numpy(), d))
             print(json.dumps({"folder": folder, "group": group, "familiarity": [
                 round(float(q), 3) for q in np.quantile(f.numpy(), [0.05, 0.5, 0.95])],
