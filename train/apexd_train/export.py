@@ -179,7 +179,7 @@ def export(checkpoint: Path, file: Path, range_m: float | None = None, world: in
 
     Takes calibration.json and familiarity.pt (see trust.py) from the checkpoint's folder, if there.
     """
-    state = torch.load(checkpoint, map_location="cpu")
+    state = torch.load(checkpoint, map_location="cpu", weights_only=False)
     model = build(ModelConfig(**state["config"]))
     model.load_state_dict(state["ema"])
     model.eval()
@@ -189,7 +189,7 @@ def export(checkpoint: Path, file: Path, range_m: float | None = None, world: in
     calibration, statistics = (checkpoint.parent / name for name in ("calibration.json", "familiarity.pt"))
     familiarity = None
     if statistics.exists():
-        saved = torch.load(statistics, map_location="cpu")[world]
+        saved = torch.load(statistics, map_location="cpu", weights_only=False)[world]
         familiarity = Familiarity(*saved["whiten"].shape)
         familiarity.load_state_dict(saved)
     if calibration.exists():
@@ -206,14 +206,45 @@ def export(checkpoint: Path, file: Path, range_m: float | None = None, world: in
     return worst
 
 
+def record(checkpoint: Path, world: int, data: Path, folder: Path, scenes: int = 4, targets: int = 500) -> None:
+    """Scenes with the weights' own answers, for tests of other runtimes, as .npy files.
+
+    context.npy float32 [sum of C, 3] and count.npy int64 [n] (C of each scene), target.npy float32
+    [T, 2] (some off the crop), probability.npy float32 [n, T].
+    """
+    from .data import Scenes
+    from .models import context_of
+    from .train import load_model
+
+    model, source = load_model(checkpoint), Scenes(data)
+    model.world = world
+    contexts, answers = [], []
+    _, target = example(model.config, 1, targets, seed=7)
+    for k in np.linspace(0, len(source) - 1, scenes).astype(int):
+        context, mask = context_of(source.observed[k:k + 1], model.config.context(), 0, model.config.resolution_m)
+        contexts.append(context[0][mask[0]])
+        with torch.no_grad():
+            answers.append(torch.sigmoid(model.decode(model.encode(contexts[-1]), target)))
+    folder.mkdir(parents=True, exist_ok=True)
+    np.save(folder / "context.npy", torch.cat(contexts).numpy())
+    np.save(folder / "count.npy", np.array([len(c) for c in contexts], np.int64))
+    np.save(folder / "target.npy", target.numpy())
+    np.save(folder / "probability.npy", torch.stack(answers).numpy())
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("file", type=Path)
     parser.add_argument("--range", type=float, help="prediction range to declare, m (default: the loss radius)")
     parser.add_argument("--world", choices=WORLD_NAMES, default="unknown", help="kind of world to answer for")
+    parser.add_argument("--record", nargs=2, type=Path, metavar=("DATA", "FOLDER"),
+                        help="also write a few scenes of DATA with the answers to FOLDER")
     args = parser.parse_args()
-    export(args.checkpoint, args.file, args.range, WORLD_NAMES.index(args.world))
+    world = WORLD_NAMES.index(args.world)
+    export(args.checkpoint, args.file, args.range, world)
+    if args.record:
+        record(args.checkpoint, world, *args.record)
 
 
 if __name__ == "__main__":

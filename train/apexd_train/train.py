@@ -108,7 +108,7 @@ class Trainer:
         self.model = build(config)
         self.before: list[dict] = []  # the trainings that the first weights come from
         if args.initial:
-            first = torch.load(args.initial, map_location="cpu")
+            first = torch.load(args.initial, map_location="cpu", weights_only=False)
             config = ModelConfig(**first["config"])
             self.model = build(config)
             self.before = [*first.get("before", []), {
@@ -195,7 +195,7 @@ class Trainer:
         partial.replace(path)
 
     def resume(self, path: Path) -> None:
-        state = torch.load(path, map_location="cpu")
+        state = torch.load(path, map_location="cpu", weights_only=False)
         if state["config"]["architecture"] != self.config.architecture:
             raise ValueError(f"{path} is a {state['config']['architecture']}, not a {self.config.architecture}")
         self.config = ModelConfig(**state["config"])
@@ -262,7 +262,7 @@ def curves(history: list[dict], path: Path) -> None:
 
 def load_model(checkpoint: Path) -> nn.Module:
     """The averaged weights of a checkpoint, as a module on the CPU, ready to predict."""
-    state = torch.load(checkpoint, map_location="cpu")
+    state = torch.load(checkpoint, map_location="cpu", weights_only=False)
     model = build(ModelConfig(**state["config"]))
     model.load_state_dict(state["ema"])
     return model.eval()
