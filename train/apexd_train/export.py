@@ -37,7 +37,7 @@ class Encoder(nn.Module):
         if self.familiarity is None:
             return self.model.encode(context)
         features = self.model.features(self.model.grid_of(context), self.model.worlds(1, context.device))
-        return self.model.bordered(self.model.head_on(*features)), self.familiarity(features[-1])
+        return self.model.bordered(self.model.head_on(*features)), self.familiarity(features)
 
 
 class Decoder(nn.Module):
@@ -190,7 +190,7 @@ def export(checkpoint: Path, file: Path, range_m: float | None = None, world: in
     familiarity = None
     if statistics.exists():
         saved = torch.load(statistics, map_location="cpu", weights_only=False)[world]
-        familiarity = Familiarity(*saved["whiten"].shape)
+        familiarity = Familiarity(len(saved["mean"]))
         familiarity.load_state_dict(saved)
     if calibration.exists():
         metadata["calibration"] = json.dumps(json.loads(calibration.read_text())[str(world)])

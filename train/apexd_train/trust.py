@@ -3,7 +3,7 @@
     python -m apexd_train.trust RUN/last.pt --calibrate DIR --fit DIR [DIR ...] --like DIR ... --unlike DIR ...
 
 Writes RUN/calibration.json (temperatures by distance from the frontier, fitted on scenes of training
-seeds that the network has not seen) and RUN/familiarity.pt (statistics of the pooled bottleneck), both
+seeds that the network has not seen) and RUN/familiarity.pt (statistics of pooled features), both
 for the unknown kind of world (key 0) and for each known one (key 1 + family), and prints how well two
 signals tell `--like` from `--unlike` scenes for the kind `--world`.
 """
@@ -23,45 +23,49 @@ from .score import DISTANCE_BINS_M, auc, calibration_error, choose, log_loss, pr
 from .train import load_model
 
 
-def pooled(features: Tensor) -> Tensor:
-    """Mean and maximum of the coarsest features over the grid: [B, 2 c]."""
-    return torch.cat([features.mean((2, 3)), features.amax((2, 3))], 1)
+def pooled(features: tuple[Tensor, ...]) -> Tensor:
+    """Means over the grid of the two coarser levels' features: [B, c1 + c2]."""
+    return torch.cat([level.mean((2, 3)) for level in features[1:]], 1)
 
 
 class Familiarity(nn.Module):
     """1 for contexts like those of the training, 0 for others, 0.5 at the 99th percentile of the former.
 
-    The Mahalanobis distance d of the pooled bottleneck features from those of the training, in the
-    leading principal components; then a sigmoid of log d^2.
+    A sigmoid of log d^2, with d the Mahalanobis distance of the pooled features from the training's,
+    by way of all principal components of the standardised features.
     """
 
-    def __init__(self, inputs: int, components: int):
+    FLOOR = 1e-5  # of the largest variance: keeps noise in idle directions from counting
+
+    def __init__(self, inputs: int):
         super().__init__()
         self.register_buffer("mean", torch.zeros(inputs))
-        self.register_buffer("whiten", torch.zeros(inputs, components))
+        self.register_buffer("whiten", torch.zeros(inputs, inputs))
         self.register_buffer("threshold", torch.zeros(()))
         self.register_buffer("width", torch.ones(()))
 
-    def log_distance(self, features: Tensor) -> Tensor:
-        z = (pooled(features) - self.mean) @ self.whiten
+    def log_distance(self, x: Tensor) -> Tensor:
+        """Of pooled features [B, inputs]."""
+        z = (x - self.mean) @ self.whiten
         return torch.log((z * z).mean(1) + 1e-6)
 
-    def forward(self, features: Tensor) -> Tensor:
-        return torch.sigmoid((self.threshold - self.log_distance(features)) / self.width)
+    def score(self, x: Tensor) -> Tensor:
+        return torch.sigmoid((self.threshold - self.log_distance(x)) / self.width)
+
+    def forward(self, features: tuple[Tensor, ...]) -> Tensor:
+        return self.score(pooled(features))
 
     @staticmethod
-    def fit(features: Tensor, components: int = 64) -> "Familiarity":
-        """From pooled features [N, 2 c] of training scenes."""
-        components = min(components, features.shape[1])
-        out = Familiarity(features.shape[1], components)
-        out.mean.copy_(features.mean(0))
-        centred = (features - out.mean).double()
-        values, vectors = torch.linalg.eigh(centred.T @ centred / len(centred))
-        values, vectors = values.flip(0)[:components], vectors.flip(1)[:, :components]
-        floor = 1e-3 * values[0]
-        out.whiten.copy_((vectors / (values + floor).sqrt()).float())
-        z = centred.float() @ out.whiten
-        s = torch.log((z * z).mean(1) + 1e-6)
+    def fit(x: Tensor) -> "Familiarity":
+        """From pooled features [N, inputs] of training scenes."""
+        out = Familiarity(x.shape[1])
+        out.mean.copy_(x.mean(0))
+        spread = x.std(0) + 1e-4
+        scaled = ((x - out.mean) / spread).double()
+        values, vectors = torch.linalg.eigh(scaled.T @ scaled / len(scaled))
+        whiten = vectors / (values.clamp(min=0.0) + Familiarity.FLOOR * values[-1]).sqrt()
+        out.whiten.copy_((whiten / spread[:, None]).float())
+        s = out.log_distance(x)
         half, tail = torch.quantile(s, 0.5), torch.quantile(s, 0.99)
         out.threshold.copy_(tail)
         out.width.copy_((tail - half) / 3.0)
@@ -74,7 +78,7 @@ def pooled_features(model: nn.Module, observed: Tensor, world: int, batch: int =
     with torch.no_grad():
         for part in observed.split(batch):
             grid = torch.stack([part > 0, part == 2], 1).float()
-            out.append(pooled(model.features(grid, model.worlds(len(grid), grid.device))[2]))
+            out.append(pooled(model.features(grid, model.worlds(len(grid), grid.device))))
     return torch.cat(out)
 
 
@@ -150,10 +154,8 @@ def main() -> None:
             scenes = Scenes(folder)
             known = args.world - 1 if group == "like" and args.world else None
             pick = choose(scenes, args.scenes, known, None, None)
-            with torch.no_grad():
-                z = (pooled_features(model, scenes.observed[pick], args.world) - familiarity.mean) @ familiarity.whiten
-                s = torch.log((z * z).mean(1) + 1e-6)
-                f = torch.sigmoid((familiarity.threshold - s) / familiarity.width)
+            x = pooled_features(model, scenes.observed[pick], args.world)
+            s, f = familiarity.log_distance(x), familiarity.score(x)
             d = disagreement(model, second, scenes, pick, args.world) if second is not None else np.zeros(len(pick))
             values[group].append((folder, s.numpy(), d))
             print(json.dumps({"folder": folder, "group": group, "familiarity": [
