@@ -22,7 +22,7 @@ from .models import ModelConfig, build
 from .trust import Familiarity
 
 OPSET = 13
-CHECKED_SIZES = ((1, 1), (93, 2669), (434, 2669), (4000, 17), (7, 10816))
+CHECKED_SIZES = ((0, 3), (1, 1), (93, 2669), (434, 2669), (4000, 17), (7, 10816))
 TOLERANCE = 1e-5
 
 
@@ -126,29 +126,31 @@ def example(config: ModelConfig, points: int, targets: int, seed: int = 0) -> tu
 
 
 def runner(proto):
-    """A function (context, target) -> probability: onnxruntime, or onnx's numpy reference without it."""
+    """A function (context, target) -> outputs: onnxruntime, or onnx's numpy reference without it."""
     try:
         import onnxruntime
     except ImportError:
         from onnx.reference import ReferenceEvaluator
 
         reference = ReferenceEvaluator(proto)
-        return lambda c, t: reference.run(["probability"], {"context": c, "target": t})[0]
+        return lambda c, t: reference.run(None, {"context": c, "target": t})
     session = onnxruntime.InferenceSession(proto.SerializeToString(), providers=["CPUExecutionProvider"])
-    return lambda c, t: session.run(["probability"], {"context": c, "target": t})[0]
+    return lambda c, t: session.run(None, {"context": c, "target": t})
 
 
-def check(model: nn.Module, proto) -> float:
+def check(model: nn.Module, proto, familiarity: nn.Module | None = None) -> float:
     """Largest difference between the file and the weights over several numbers of points."""
-    run, worst = runner(proto), 0.0
+    encode, run, worst = Encoder(model, familiarity), runner(proto), 0.0
     for seed, (points, targets) in enumerate(CHECKED_SIZES):
         context, target = example(model.config, points, targets, seed)
         with torch.no_grad():
-            expected = torch.sigmoid(model.decode(model.encode(context), target)).numpy()
-        got = run(context.numpy(), target.numpy())
-        if got.shape != expected.shape:
-            raise ValueError(f"C = {points}, T = {targets}: shape {got.shape}, not {expected.shape}")
-        worst = max(worst, float(np.abs(got - expected).max()))
+            encoded = encode(context)
+            representation, *rest = encoded if familiarity is not None else (encoded,)
+            expected = [torch.sigmoid(model.decode(representation, target)), *rest]
+        for got, want in zip(run(context.numpy(), target.numpy()), expected, strict=True):
+            if got.shape != tuple(want.shape):
+                raise ValueError(f"C = {points}, T = {targets}: shape {got.shape}, not {tuple(want.shape)}")
+            worst = max(worst, float(np.abs(got - want.numpy()).max()))
     return worst
 
 
@@ -195,7 +197,7 @@ def export(checkpoint: Path, file: Path, range_m: float | None = None, world: in
     if calibration.exists():
         metadata["calibration"] = json.dumps(json.loads(calibration.read_text())[str(world)])
     proto = to_onnx(model, metadata, familiarity)
-    worst = check(model, proto)
+    worst = check(model, proto, familiarity)
     if not worst <= TOLERANCE:
         raise ValueError(f"{file}: differs from the weights by {worst:.2g}, more than {TOLERANCE:g}")
     file.parent.mkdir(parents=True, exist_ok=True)

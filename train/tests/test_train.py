@@ -10,7 +10,7 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from apexd_train import data, export, score
+from apexd_train import data, export, score, trust
 from apexd_train.models import ModelConfig, build, context_of, depth_to_space, space_to_depth
 from apexd_train.optimiser import orthogonal
 from apexd_train.train import load_model, parser, train
@@ -65,6 +65,38 @@ def test_the_exported_file_answers_as_the_weights_do_at_any_number_of_points(arc
     before = made.index("representation")
     assert all("target" not in node.input for node in proto.graph.node[: before + 1])
     assert all("context" not in node.input for node in proto.graph.node[before + 1 :])
+
+
+def test_familiarity_is_exported_and_high_where_the_statistics_come_from():
+    torch.manual_seed(4)
+    model = build(ModelConfig("convcnp", SIDE, channels=(8, 8, 16), bottom_blocks=1)).eval()
+    rng = torch.Generator().manual_seed(1)
+    corridors = torch.zeros(200, SIDE, SIDE, dtype=torch.uint8)
+    for k, row in enumerate(torch.randint(2, 8, (200,), generator=rng)):
+        corridors[k, row:row + 6, 4:12] = 1
+        corridors[k, row, 4:12] = corridors[k, row + 5, 4:12] = 2
+    noise = torch.randint(0, 3, (20, SIDE, SIDE), generator=rng).to(torch.uint8)
+    familiarity = trust.Familiarity.fit(trust.pooled_features(model, corridors, 0))
+    like = familiarity.score(trust.pooled_features(model, corridors, 0))
+    unlike = familiarity.score(trust.pooled_features(model, noise, 0))
+    assert like.median() > 0.9 and unlike.max() < 0.1
+    proto = export.to_onnx(model, {"format_version": "1"}, familiarity)
+    assert [output.name for output in proto.graph.output] == ["probability", "familiarity"]
+    assert export.check(model, proto, familiarity) <= export.TOLERANCE
+
+
+def test_a_world_told_changes_the_answer_and_is_a_constant_of_the_file():
+    torch.manual_seed(5)
+    model = build(ModelConfig("convcnp", SIDE, channels=(8, 8, 8), bottom_blocks=1)).eval()
+    torch.nn.init.normal_(model.world0.weight)
+    context, target = export.example(model.config, 30, 40)
+    answers = []
+    for world in (0, 2):
+        model.world = world
+        proto = export.to_onnx(model, {"format_version": "1"})
+        assert export.check(model, proto) <= export.TOLERANCE
+        answers.append(export.runner(proto)(context.numpy(), target.numpy())[0])
+    assert np.abs(answers[0] - answers[1]).max() > 1e-3
 
 
 def test_export_and_training_path_agree_on_a_scene(tmp_path):
