@@ -225,12 +225,15 @@ class Trainer:
                         out[f"{scenes.folder.name} f{family} w{world} {radius}"] = round(s[radius]["log_loss"], 5)
         return out
 
-    def write_log(self, out: Path) -> None:
+    def write(self, out: Path) -> None:
+        """Checkpoint, log and curves."""
+        self.save(out / "last.pt")
         fields = list(dict.fromkeys(key for row in self.history for key in row))
         with open(out / "log.csv", "w", newline="") as file:
             writer = csv.DictWriter(file, fields)
             writer.writeheader()
             writer.writerows(self.history)
+        curves(self.history, out / "curves.png")
 
 
 def curves(history: list[dict], path: Path) -> None:
@@ -310,11 +313,10 @@ def train(args: argparse.Namespace) -> Trainer:
             print(json.dumps(row), flush=True)
             if not math.isfinite(row["loss"]):
                 raise FloatingPointError(f"the loss is {row['loss']} at iteration {trainer.iteration}")
-        if last or trainer.seconds - saved >= args.checkpoint_minutes * 60.0:
-            trainer.save(out / "last.pt")
-            trainer.write_log(out)
-            curves(trainer.history, out / "curves.png")
+        if trainer.seconds - saved >= args.checkpoint_minutes * 60.0:
+            trainer.write(out)
             saved = trainer.seconds
+    trainer.write(out)
     for number, handler in handlers.items():
         signal.signal(number, handler)
     if args.export and trainer.progress() >= 1.0:
