@@ -140,7 +140,13 @@ def edges(p: np.ndarray, observed: np.ndarray, truth: np.ndarray, distance_m: np
     if not score:
         return {"edges": 0}
     score, closed = np.array(score), np.array(closed)
-    return {"edges": len(score), "closed": float(closed.mean()), "auc": auc(score, closed),
+    bins = []
+    for low, high in ((0.0, 0.5), (0.5, 1.25), (1.25, near_m + 1e-6)):
+        some = (np.array(gap) >= low) & (np.array(gap) < high)
+        if some.any():
+            bins.append({"from_m": low, "edges": int(some.sum()), "auc": auc(score[some], closed[some]),
+                         "accuracy": float(((score > 0.5) == closed)[some].mean())})
+    return {"by_distance": bins, "edges": len(score), "closed": float(closed.mean()), "auc": auc(score, closed),
             "accuracy": float(((score > 0.5) == closed).mean()), "log_loss": log_loss(score, closed)}
 
 
