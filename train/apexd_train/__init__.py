@@ -1,0 +1,1 @@
+"""Training of the map predictor: data, models, training loop, scores, ONNX export."""
