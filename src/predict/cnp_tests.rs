@@ -198,7 +198,7 @@ fn answers_are_calibrated_by_the_distance_from_the_frontier() {
 }
 
 #[test]
-fn predictions_fade_in_unfamiliar_scenes_unless_that_is_switched_off() {
+fn predictions_fade_in_unfamiliar_scenes_where_that_is_wanted() {
     let (grid, pose) = room();
     let p = Point::new(4.65, 1.05);
     for (familiarity, fade, wanted) in
@@ -222,7 +222,7 @@ fn predictions_fade_in_unfamiliar_scenes_unless_that_is_switched_off() {
         "familiarity",
     );
     build.graph().output.push(value("familiarity", &[Some(1)]));
-    let mut cnp = predictor(&build, &PredictParams::default());
+    let mut cnp = predictor(&build, &PredictParams { fade: true, ..PredictParams::default() });
     observe(&mut cnp, &grid, pose, grid.bounds());
     assert_eq!(ask(&mut cnp, &[p]), [0.5]);
     assert!(matches!(cnp.fault(), Some(PredictFault::NotAProbability { .. })));
