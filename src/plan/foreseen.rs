@@ -35,6 +35,8 @@ pub(super) struct Foreseen {
     filled: CellRect,
     /// Holds every cell that has changed since the fields were brought up to date.
     stale: CellRect,
+    /// Whether the grid is a copy of this step's map.
+    is_copied: bool,
     /// Whether the view has been asked about a cell in this step; as the grid's cells.
     asked: Vec<bool>,
     /// The cells that it has been asked about.
@@ -53,6 +55,7 @@ impl Foreseen {
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, cap_m),
             filled: CellRect::EMPTY,
             stale: CellRect::EMPTY,
+            is_copied: false,
             asked: Vec::new(),
             cells: Vec::new(),
             squares: Vec::new(),
@@ -61,34 +64,41 @@ impl Foreseen {
         }
     }
 
-    /// Begins a step with the known map, of which only `changed` differs from the one before.
-    pub(super) fn begin(&mut self, known: &Grid, changed: CellRect) {
-        let bounds = self.grid.bounds();
-        let same = known.resolution_m() == self.grid.resolution_m();
-        self.grid.clone_from(known);
-        if same {
-            self.grid.grow_to(bounds);
-        }
+    /// Begins a step in which only `changed` of the known map differs from the one before. The copy
+    /// waits until something is foreseen: most predictors and whole drives foresee nothing.
+    pub(super) fn begin(&mut self, changed: CellRect) {
         self.stale = self.stale.union(&changed).union(&self.filled);
         self.filled = CellRect::EMPTY;
+        self.is_copied = false;
         self.cells.clear();
-        self.mark_asked();
-        self.refresh();
     }
 
-    /// Fills in what the view is sure of beside the first `horizon_m` of the way.
+    /// Fills in what the view is sure of beside the first `horizon_m` of the way. `known` is the
+    /// step's map.
     pub(super) fn look(
         &mut self,
         params: &ForeseenParams,
+        known: &Grid,
         way: impl Iterator<Item = Point>,
         horizon_m: f64,
         view: &mut dyn OccupancyView,
     ) {
-        self.place_squares(way, horizon_m, view);
-        let area = self.squares.iter().fold(CellRect::EMPTY, |area, s| area.union(s));
+        self.place_squares(known, way, horizon_m, view);
+        if self.squares.is_empty() {
+            return;
+        }
         let bounds = self.grid.bounds();
+        if !self.is_copied {
+            let same = known.resolution_m() == self.grid.resolution_m();
+            self.grid.clone_from(known);
+            if same {
+                self.grid.grow_to(bounds);
+            }
+            self.is_copied = true;
+        }
+        let area = self.squares.iter().fold(CellRect::EMPTY, |area, s| area.union(s));
         self.grid.grow_to(area);
-        if self.grid.bounds() != bounds {
+        if self.cells.is_empty() || self.grid.bounds() != bounds {
             self.mark_asked();
         }
         self.points.clear();
@@ -128,12 +138,13 @@ impl Foreseen {
     /// Squares of cells along the way, but for those where the view is silent.
     fn place_squares(
         &mut self,
+        known: &Grid,
         way: impl Iterator<Item = Point>,
         horizon_m: f64,
         view: &dyn OccupancyView,
     ) {
         self.squares.clear();
-        let reach = (BESIDE_M / self.grid.resolution_m()).ceil() as i32;
+        let reach = (BESIDE_M / known.resolution_m()).ceil() as i32;
         let (mut along_m, mut next_m) = (0.0, 0.0);
         let mut before: Option<Point> = None;
         for p in way {
@@ -146,11 +157,11 @@ impl Foreseen {
                 continue;
             }
             next_m = along_m + STRIDE_M;
-            let c = self.grid.cell_at(p);
+            let c = known.cell_at(p);
             let one = CellRect { x0: c.ix, y0: c.iy, x1: c.ix + 1, y1: c.iy + 1 };
             let square = one.grown(reach);
-            let low = self.grid.centre(CellIndex::new(square.x0, square.y0));
-            let high = self.grid.centre(CellIndex::new(square.x1, square.y1));
+            let low = known.centre(CellIndex::new(square.x0, square.y0));
+            let high = known.centre(CellIndex::new(square.x1, square.y1));
             if !view.silent(low, high) {
                 self.squares.push(square);
             }
@@ -174,6 +185,9 @@ impl Foreseen {
     /// Marks the cells of `grid` (the known map) whose centre is nearer than `least_m` to that of
     /// an obstacle, foreseen or known.
     pub(super) fn mask(&self, grid: &Grid, least_m: f32, lethal: &mut [bool]) {
+        if self.is_silent() {
+            return;
+        }
         let reach = (f64::from(least_m) / grid.resolution_m()).ceil() as i32;
         let area = self.filled.grown(reach).intersection(&grid.bounds());
         for iy in area.y0..area.y1 {
@@ -188,7 +202,7 @@ impl Foreseen {
         }
     }
 
-    /// Whether nothing is filled in.
+    /// Whether nothing is filled in; then there is nothing to be asked of this map.
     pub(super) const fn is_silent(&self) -> bool {
         self.filled.is_empty()
     }
@@ -293,19 +307,36 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(24))]
         #[test]
         fn clearances_are_those_of_the_map_filled_in_anew(
-            maps in prop::collection::vec(prop::collection::vec(0_u8..4, 900), 1..4),
+            maps in prop::collection::vec(prop::collection::vec(0_u8..4, 900), 1..6),
             ends in prop::collection::vec((-1.0..4.0, -1.0..4.0, -1.0..4.0, -1.0..4.0), 2..5),
             salt in 0_i64..6,
+            silent in 0_usize..3,
         ) {
             let params = ForeseenParams::default();
             let mut foreseen = Foreseen::new(1.5);
-            for (step, map) in maps.iter().enumerate() {
-                let map = some_map(map);
-                foreseen.begin(&map, map.bounds());
+            let mut map = some_map(&maps[0]);
+            for (step, news) in maps.iter().enumerate() {
+                // Only some rows change, but for the first time.
+                let changed = if step == 0 {
+                    map.bounds()
+                } else {
+                    let y0 = step as i32 * 7 % 25;
+                    CellRect { x0: 0, y0, x1: 30, y1: y0 + 5 }
+                };
+                let news = some_map(news);
+                for iy in changed.y0..changed.y1 {
+                    for ix in changed.x0..changed.x1 {
+                        map.set(CellIndex::new(ix, iy), news.get(CellIndex::new(ix, iy)));
+                    }
+                }
+                foreseen.begin(changed);
+                if step % 3 == silent {
+                    continue; // the copy lags behind
+                }
                 let mut view = Oddly { salt: salt + step as i64, asked: Vec::new() };
                 for (ax, ay, bx, by) in &ends {
                     let way = line(Point::new(*ax, *ay), Point::new(*bx, *by));
-                    foreseen.look(&params, way.into_iter(), 20.0, &mut view);
+                    foreseen.look(&params, &map, way.into_iter(), 20.0, &mut view);
                 }
                 let mut literal = map.clone();
                 literal.grow_to(foreseen.grid.bounds());
@@ -339,11 +370,13 @@ mod tests {
     fn a_silent_view_leaves_the_map_as_it_is() {
         let map = some_map(&[0; 900]);
         let mut foreseen = Foreseen::new(1.5);
-        foreseen.begin(&map, map.bounds());
+        foreseen.begin(map.bounds());
         let way = line(Point::new(0.0, 0.0), Point::new(3.0, 3.0));
-        foreseen.look(&ForeseenParams::default(), way.into_iter(), 20.0, &mut Nothing);
+        foreseen.look(&ForeseenParams::default(), &map, way.into_iter(), 20.0, &mut Nothing);
         assert!(foreseen.is_silent());
-        assert_eq!(foreseen.grid, map);
+        let mut lethal = vec![false; map.cells().len()];
+        foreseen.mask(&map, 0.3, &mut lethal);
+        assert!(!lethal.contains(&true));
     }
 
     #[test]
@@ -357,11 +390,14 @@ mod tests {
                 map.set(CellIndex::new(ix, iy), cell);
             }
         }
-        let mut foreseen = Foreseen::new(1.5);
-        foreseen.begin(&map, map.bounds());
+        let mut fields = [Blocking::Occupied, Blocking::OccupiedOrUnknown]
+            .map(|blocking| DistanceField::new(blocking, 1.5));
+        for field in &mut fields {
+            field.update(&map, map.bounds());
+        }
         let field = ShapeField {
-            occupied: foreseen.occupied(),
-            blocked: foreseen.blocked(),
+            occupied: Clearance::new(&map, &fields[0]),
+            blocked: Clearance::new(&map, &fields[1]),
             keep_m: 0.25,
             unknown_room_m: 0.3,
             wall_room_m: 0.1,

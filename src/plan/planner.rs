@@ -344,7 +344,7 @@ impl Planner {
     fn update_fields(&mut self, request: &PlanRequest) {
         let changed = if self.first { request.grid.bounds() } else { request.changed };
         self.first = false;
-        self.foreseen.begin(&request.grid, changed);
+        self.foreseen.begin(changed);
         self.occupied.update(&request.grid, changed);
         self.blocked.update(&request.grid, changed);
         self.set_masks(request);
@@ -352,15 +352,20 @@ impl Planner {
 
     /// Where the disc's centre may not be.
     fn set_masks(&mut self, request: &PlanRequest) {
-        // From a cell's centre to the nearest square is half a cell less than to its centre along
-        // the axes (and up to 0.7 diagonally, which smoothing finds out).
-        let resolution = request.grid.resolution_m();
-        let least = (self.keep_m() + 0.5 * resolution) as f32;
+        let least = self.mask_radius_m(&request.grid) as f32;
         self.lethal.clear();
         self.lethal.extend(self.occupied.values().iter().map(|d| *d < least));
         self.tight.clear();
         self.tight.extend(self.blocked.values().iter().map(|d| *d < least));
         self.impasses.mask(&request.grid, &self.tight, &mut self.lethal);
+    }
+
+    /// A cell whose centre is nearer to an obstacle's centre than this is no place for the disc,
+    /// metres.
+    fn mask_radius_m(&self, grid: &Grid) -> f64 {
+        // From a cell's centre to the nearest square is half a cell less than to its centre along
+        // the axes (and up to 0.7 diagonally, which smoothing finds out).
+        self.keep_m() + 0.5 * grid.resolution_m()
     }
 
     /// Clearance that the certificate asks for, metres.
@@ -397,12 +402,17 @@ impl Planner {
     }
 
     /// Takes in what is foreseen beside a way.
-    fn look_beside(&mut self, way: impl Iterator<Item = Point>, times: &mut StepTimes) {
+    fn look_beside(
+        &mut self,
+        grid: &Grid,
+        way: impl Iterator<Item = Point>,
+        times: &mut StepTimes,
+    ) {
         let mut lap = Lap::new(&self.clock);
         let predicted = self.predictor.spent();
         let mut view = self.predictor.view(&self.clock);
         let horizon_m = self.params.smooth.horizon_m;
-        self.foreseen.look(&self.params.foreseen, way, horizon_m, &mut view);
+        self.foreseen.look(&self.params.foreseen, grid, way, horizon_m, &mut view);
         let predicted = self.predictor.spent().saturating_sub(predicted);
         times.field += lap.take(&self.clock).saturating_sub(predicted);
     }
@@ -418,33 +428,52 @@ impl Planner {
         if self.params.plan.policy != Policy::MapPredictive {
             return self.guide(request, branch, times);
         }
-        let least = (self.keep_m() + 0.5 * request.grid.resolution_m()) as f32;
-        let known = std::mem::take(&mut self.lethal);
         let plan = &request.committed;
         let under_way = plan.trajectory.points.iter().map(|p| p.path);
         let under_way = under_way.chain(plan.beyond.points.iter().copied());
         let ahead = under_way.skip_while(|p| p.s_m < branch.s_m).map(|p| p.position);
-        self.look_beside(ahead, times);
-        let mut found = None;
+        self.look_beside(&request.grid, ahead, times);
         for _ in 0..GUIDES_MAX {
-            self.lethal.clone_from(&known);
-            self.foreseen.mask(&request.grid, least, &mut self.lethal);
-            let Ok(guide) = self.guide(request, branch, times) else { break };
-            self.look_beside(guide.points.iter().copied(), times);
-            let walls = self.foreseen.occupied();
-            let keep_m = self.keep_m();
-            let fits =
-                guide.points.iter().skip(1).all(|p| walls.at_up_to(*p, keep_m) >= 0.8 * keep_m);
-            if fits || self.foreseen.is_silent() {
-                found = Some(guide);
+            let was_silent = self.foreseen.is_silent();
+            let found = self.guide_round_foreseen(request, branch, times);
+            let Ok(guide) = found else {
+                if was_silent {
+                    return found;
+                }
                 break;
+            };
+            self.look_beside(&request.grid, guide.points.iter().copied(), times);
+            if self.foreseen.is_silent() || self.clears_foreseen(&guide) {
+                return Ok(guide);
             }
         }
-        self.lethal = known;
-        match found {
-            Some(guide) => Ok(guide),
-            None => self.guide(request, branch, times),
+        // What is foreseen to be in the way everywhere may not be there.
+        self.guide(request, branch, times)
+    }
+
+    /// The guide if all obstacles foreseen so far were known.
+    fn guide_round_foreseen(
+        &mut self,
+        request: &PlanRequest,
+        branch: &Branch,
+        times: &mut StepTimes,
+    ) -> Result<Guide, GuideFailure> {
+        if self.foreseen.is_silent() {
+            return self.guide(request, branch, times);
         }
+        let known = self.lethal.clone();
+        let least_m = self.mask_radius_m(&request.grid) as f32;
+        self.foreseen.mask(&request.grid, least_m, &mut self.lethal);
+        let found = self.guide(request, branch, times);
+        self.lethal = known;
+        found
+    }
+
+    /// Whether a guide keeps off what is foreseen, up to a cell's size.
+    fn clears_foreseen(&self, guide: &Guide) -> bool {
+        let walls = self.foreseen.occupied();
+        let least_m = 0.8 * self.keep_m();
+        guide.points.iter().skip(1).all(|p| walls.at_up_to(*p, least_m) >= least_m)
     }
 
     fn guide(
@@ -735,20 +764,22 @@ impl Planner {
             unknown_room_m: self.params.plan.unknown_room_m,
             wall_room_m,
         };
-        // Where nothing is foreseen, what lies behind a corner keeps shapes off it already.
-        let silent = self.foreseen.is_silent();
-        let wall_room_m = if silent { 0.0 } else { self.params.plan.wall_room_m };
-        let foreseen = field(self.foreseen.occupied(), self.foreseen.blocked(), wall_room_m);
-        let mut smoothed = self.smoother.smooth(&smooth, &foreseen, &task);
-        if smoothed.is_err() && !silent {
-            // What is foreseen may be wrong.
-            let known = field(
-                Clearance::new(&request.grid, &self.occupied),
-                Clearance::new(&request.grid, &self.blocked),
-                0.0,
-            );
-            smoothed = self.smoother.smooth(&self.params.smooth, &known, &task);
-        }
+        let foreseen = (!self.foreseen.is_silent()).then(|| {
+            let wall_room_m = self.params.plan.wall_room_m;
+            let field = field(self.foreseen.occupied(), self.foreseen.blocked(), wall_room_m);
+            self.smoother.smooth(&smooth, &field, &task)
+        });
+        // What is foreseen may be wrong. Where nothing is, what lies unseen behind a corner keeps
+        // shapes off it already.
+        let smoothed = foreseen.and_then(Result::ok).map_or_else(
+            || {
+                let occupied = Clearance::new(&request.grid, &self.occupied);
+                let blocked = Clearance::new(&request.grid, &self.blocked);
+                let field = field(occupied, blocked, 0.0);
+                self.smoother.smooth(&self.params.smooth, &field, &task)
+            },
+            Ok,
+        );
         let (mut path, complete) = match (smoothed, way.manoeuvre) {
             (Ok(smoothed), _) => (smoothed.path, smoothed.complete),
             // The manoeuvre can be driven as it is.

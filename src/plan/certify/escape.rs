@@ -20,14 +20,14 @@
 //! kept whatever the unknown holds. With [`Surfaces::Occupied`] the unknown counts as free: stops
 //! may lie right at the frontier, and a wall just behind it can still catch the car.
 
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
+use std::f64::consts::FRAC_PI_2;
 
 use super::CertifyParams;
 use super::clearance::{Surfaces, contact};
 use crate::frames::Pose;
 use crate::map::Grid;
 use crate::plan::path::at_distance;
-use crate::plan::{Path, PathPoint};
+use crate::plan::PathPoint;
 use crate::vehicle::VehicleParams;
 
 /// What a stop pose must leave open.
@@ -96,77 +96,6 @@ pub fn last_escapable(
     }
     let before = path.partition_point(|p| p.s_m < s_max_m);
     path[..before].iter().rev().find(|p| escapes(p)).map(|p| p.s_m)
-}
-
-/// Arcs that turn the car round without reverse gear, the whole way clear: onto the same axis
-/// facing back where that is possible (a sixth of a turn out, five sixths of a circle, a sixth
-/// back), or to a parallel one. `None` if none of them is clear from this pose.
-pub fn turn_round(grid: &Grid, pose: Pose, rule: &EscapeRule) -> Option<Vec<Arc>> {
-    // Swinging out first by `swing` moves the axis of the way back from twice the turning radius
-    // to the side, at zero, to none at a sixth of a turn.
-    const SWINGS: [f64; 3] = [0.0, FRAC_PI_3 / 3.0, FRAC_PI_3 * 2.0 / 3.0];
-    let mut candidates = Vec::with_capacity(8);
-    for side in [1.0, -1.0] {
-        let out = rule.arc(-side * FRAC_PI_3);
-        candidates.push(vec![out, rule.arc(side * (PI + 2.0 * FRAC_PI_3)), out]);
-    }
-    for swing in SWINGS {
-        for side in [1.0, -1.0] {
-            let mut arcs = vec![rule.arc(side * (PI + swing))];
-            if swing > 0.0 {
-                arcs.insert(0, rule.arc(-side * swing));
-            }
-            candidates.push(arcs);
-        }
-    }
-    candidates.into_iter().find(|arcs| {
-        arcs.iter().try_fold(pose, |pose, arc| arc_clear(grid, pose, arc, rule)).is_some()
-    })
-}
-
-/// A chain of arcs as a path with samples at most `spacing_m` (no less than a millimetre) apart. Where one arc meets the next
-/// the curvature changes linearly within two millimetres: too short to matter for where the path
-/// leads, long enough to be a path like any other.
-pub fn arcs_path(start: Pose, arcs: &[Arc], spacing_m: f64) -> Path {
-    const HALF_JOIN_M: f64 = 1e-3;
-    let mut pose = start;
-    let mut path = Path::default();
-    let mut push = |pose: &Pose, s_m: f64, curvature_pm: f64| {
-        path.points.push(PathPoint {
-            s_m,
-            position: pose.position,
-            heading_rad: pose.heading_rad,
-            curvature_pm,
-        });
-    };
-    let mut s = 0.0;
-    // Curvature and half length of the join that leads to the next arc.
-    let mut join = None::<(f64, f64)>;
-    let driven = arcs.iter().filter(|a| a.length_m > 0.0);
-    let mut driven = driven.peekable();
-    while let Some(arc) = driven.next() {
-        let k = arc.curvature_pm;
-        let mut length = arc.length_m;
-        if let Some((before, half)) = join {
-            pose = pose.along_arc(2.0 * half, (before + k) * half);
-            s += 2.0 * half;
-            length -= half;
-        }
-        push(&pose, s, k);
-        join = driven.peek().map(|next| {
-            let half = HALF_JOIN_M.min(0.25 * arc.length_m).min(0.25 * next.length_m);
-            length -= half;
-            (k, half)
-        });
-        let pieces = (length / spacing_m.max(HALF_JOIN_M)).ceil().max(1.0);
-        let ds = length / pieces;
-        for _ in 0..pieces as usize {
-            pose = pose.along_arc(ds, k * ds);
-            s += ds;
-            push(&pose, s, k);
-        }
-    }
-    path
 }
 
 /// The pose at the end of an arc if the disc is clear all along it.

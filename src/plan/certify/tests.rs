@@ -458,60 +458,6 @@ fn in_a_narrow_passage_the_car_may_stop_while_it_is_seen_to_go_on() {
     assert_eq!(last_escapable(&grid, &[], 0.3, &strict), None);
 }
 
-#[test]
-fn a_turn_round_faces_back_and_needs_two_turning_radii_of_width() {
-    let strict = rule(Surfaces::OccupiedAndUnknown);
-    let end = |start: Pose, arcs: &[Arc]| {
-        arcs.iter().fold(start, |p, a| p.along_arc(a.length_m, a.length_m * a.curvature_pm))
-    };
-    let start = Pose::new(2.0, 0.0, 0.0);
-    // A corridor 1.6 m wide: only the bulb on the axis fits.
-    let corridor = room(0.1, (0.0, -0.8), (5.0, 0.8));
-    let arcs = turn_round(&corridor, start, &strict).unwrap();
-    let back = end(start, &arcs);
-    assert!((back.position - start.position).norm() < 1e-9);
-    assert!((back.heading_rad.abs() - PI).abs() < 1e-9);
-    // Every point of it, checked by brute force.
-    for arc in &arcs {
-        assert!((arc.curvature_pm.abs() - 2.0).abs() < 1e-12);
-    }
-    let mut pose = start;
-    for arc in &arcs {
-        for i in 0..=200 {
-            let s = arc.length_m * f64::from(i) / 200.0;
-            let p = pose.along_arc(s, s * arc.curvature_pm).position;
-            assert!(brute_clearance(&corridor, p) >= RADIUS);
-        }
-        pose = pose.along_arc(arc.length_m, arc.length_m * arc.curvature_pm);
-    }
-    // Too near the end, or too narrow.
-    assert!(turn_round(&corridor, Pose::new(3.6, 0.0, 0.0), &strict).is_none());
-    let narrow = room(0.1, (0.0, -0.7), (5.0, 0.7));
-    assert!(turn_round(&narrow, start, &strict).is_none());
-    // Near a dead end, a half circle to the free side is enough.
-    let wide = room(0.1, (0.0, -0.4), (5.0, 1.4));
-    let arcs = turn_round(&wide, Pose::new(4.2, 0.0, 0.0), &strict).unwrap();
-    assert_eq!(arcs.len(), 1);
-    assert!((end(start, &arcs).position - Point::new(2.0, 1.0)).norm() < 1e-9);
-}
-
-#[test]
-fn a_turn_round_is_a_plan_like_any_other() {
-    let corridor = room(0.1, (0.0, -0.8), (6.0, 0.8));
-    let start = Pose::new(2.0, 0.0, 0.0);
-    let strict = rule(Surfaces::OccupiedAndUnknown);
-    let path = arcs_path(start, &turn_round(&corridor, start, &strict).unwrap(), 0.05);
-    let t = driven(&path);
-    certify(&t, &corridor, &limits()).unwrap();
-    let end = t.last().path;
-    assert!((end.position - start.position).norm() < 1e-4);
-    assert!((end.heading_rad.abs() - PI).abs() < 1e-9);
-    // Then all the way back out.
-    let out = Pose { position: end.position, heading_rad: end.heading_rad };
-    certify(&driven(&straight(out, 1.7, 0.05)), &corridor, &limits()).unwrap();
-    assert_eq!(arcs_path(start, &[], 0.05), Path::default());
-}
-
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
