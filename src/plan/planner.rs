@@ -711,7 +711,7 @@ struct ClearRoom<'a> {
 
 impl Room for ClearRoom<'_> {
     fn fits(&self, centre: Point) -> bool {
-        self.clearance.at_up_to(centre, self.keep_m) >= self.keep_m
+        self.clearance.reaches(centre, self.keep_m)
     }
 }
 

@@ -74,7 +74,7 @@ impl Planner {
     fn clears_foreseen(&self, guide: &Guide) -> bool {
         let walls = self.foreseen.occupied();
         let least_m = 0.8 * self.keep_m();
-        guide.points.iter().skip(1).all(|p| walls.at_up_to(*p, least_m) >= least_m)
+        guide.points.iter().skip(1).all(|p| walls.reaches(*p, least_m))
     }
 
     /// Takes in what is foreseen beside a way.

@@ -61,8 +61,7 @@ impl Planner {
         let clearance = Clearance::new(&request.grid, &self.occupied);
         // What has turned out to be in the way since.
         let keep_m = self.keep_m();
-        let blocked =
-            path.points.iter().position(|p| clearance.at_up_to(p.position, keep_m) < keep_m);
+        let blocked = path.points.iter().position(|p| !clearance.reaches(p.position, keep_m));
         if let Some(first) = blocked {
             path.points.truncate(first);
         }
