@@ -21,6 +21,19 @@ pub(super) enum Aim {
     Through(CellIndex),
 }
 
+/// A way to the goal that keeps to an aim.
+#[derive(Clone, Debug)]
+pub(super) struct WayOut {
+    pub(super) aim: Aim,
+    pub(super) guide: Guide,
+    /// How far the exit may be from the best one that it stands for, metres.
+    pub(super) doubt_m: f64,
+}
+
+/// An exit that is passed at no more than this is the one of the plan under way, metres: less than
+/// half a hallway's width.
+const SAME_EXIT_M: f64 = 1.2;
+
 /// Which exits of a frontier are tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sampling {
@@ -50,7 +63,7 @@ impl Planner {
             Policy::MapPredictive if via_frontier => self.cheapest(request, &branches[0], times),
             Policy::MapPredictive | Policy::Frontier | Policy::KnownMap => None,
         };
-        if let Some((aim, guide)) = chosen {
+        if let Some(WayOut { aim, guide, .. }) = chosen {
             self.aim = aim;
             return Ok(guide);
         }
@@ -64,10 +77,46 @@ impl Planner {
         request: &PlanRequest,
         here: &Branch,
         times: &mut StepTimes,
-    ) -> Option<(Aim, Guide)> {
-        let ways = self.ways_out(request, here, Sampling::Middles, times);
-        // Of equal ones the first.
-        ways.into_iter().min_by(|a, b| a.1.cost_s.total_cmp(&b.1.cost_s))
+    ) -> Option<WayOut> {
+        let mut ways = self.ways_out(request, here, Sampling::Middles, times);
+        let costs: Vec<(usize, f64)> =
+            ways.iter().enumerate().map(|(i, way)| (i, way.guide.cost_s)).collect();
+        let chosen = self.choose(request, &ways, &costs)?;
+        Some(ways.swap_remove(chosen))
+    }
+
+    /// The way with the least cost, of equal ones the first. But the plan under way keeps its exit
+    /// as long as no other costs less by more than is in doubt: each exit stands for those around
+    /// it, and with the car, the map and the exits moving a little at every step, two that are as
+    /// good would win by turns.
+    pub(super) fn choose(
+        &self,
+        request: &PlanRequest,
+        ways: &[WayOut],
+        costs: &[(usize, f64)],
+    ) -> Option<usize> {
+        let best = costs.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let under_way = costs.iter().filter(|(i, _)| self.is_under_way(request, ways[*i].aim));
+        let kept = under_way.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or(best);
+        let keeps = kept.1 - best.1 <= self.doubt_s(&ways[kept.0]);
+        Some(if keeps { kept.0 } else { best.0 })
+    }
+
+    /// The time that an exit may lose on the best one that it stands for.
+    pub(super) fn doubt_s(&self, way: &WayOut) -> f64 {
+        way.doubt_m / self.params.speed.speed_max_mps
+    }
+
+    /// Whether the committed path, as it is imagined to go on, leaves known space through an exit.
+    fn is_under_way(&self, request: &PlanRequest, aim: Aim) -> bool {
+        let Aim::Through(exit) = aim else { return false };
+        let exit = request.grid.centre(exit);
+        let plan = &request.committed;
+        let from_m = plan.trajectory.at(request.takes_over).path.s_m;
+        let path = plan.trajectory.points.iter().map(|p| p.path);
+        path.chain(plan.beyond.points.iter().copied())
+            .filter(|p| p.s_m > from_m)
+            .any(|p| (p.position - exit).norm() <= SAME_EXIT_M)
     }
 
     /// A way to the goal through known space, if there is one, and one through each exit, in the
@@ -78,39 +127,44 @@ impl Planner {
         here: &Branch,
         sampling: Sampling,
         times: &mut StepTimes,
-    ) -> Vec<(Aim, Guide)> {
+    ) -> Vec<WayOut> {
         let exits = self.exits(request, here, sampling);
-        let aims = std::iter::once(Aim::Known).chain(exits.into_iter().map(Aim::Through));
+        let exits = exits.into_iter().map(|(exit, doubt_m)| (Aim::Through(exit), doubt_m));
         let mut ways = Vec::new();
-        for aim in aims {
+        for (aim, doubt_m) in std::iter::once((Aim::Known, 0.0)).chain(exits) {
             if let Ok(guide) = self.guide_foreseen(request, here, aim, times) {
-                ways.push((aim, guide));
+                ways.push(WayOut { aim, guide, doubt_m });
             }
         }
         ways
     }
 
-    /// Cells from which the disc can leave known space.
+    /// Cells from which the disc can leave known space, each with its distance from the farthest
+    /// one that it stands for, metres.
     fn exits(
         &mut self,
         request: &PlanRequest,
         here: &Branch,
         sampling: Sampling,
-    ) -> Vec<CellIndex> {
+    ) -> Vec<(CellIndex, f64)> {
         let grid = &request.grid;
         let start = grid.cell_at(here.point.position);
         let spacing = EXIT_SPACING_M / grid.resolution_m() - 1e-9;
         let mut exits = Vec::new();
         for frontier in self.frontiers.find(grid, &self.occupied, start, self.keep_m()) {
-            let first = exits.len();
-            exits.push(frontier.representative);
+            let middle = frontier.representative;
+            let far =
+                |a: CellIndex, b: CellIndex| f64::from(a.ix - b.ix).hypot(f64::from(a.iy - b.iy));
             if sampling == Sampling::Middles {
+                let reach = frontier.crossings.iter().map(|c| far(*c, middle)).fold(0.0, f64::max);
+                exits.push((middle, reach * grid.resolution_m()));
                 continue;
             }
+            let first = exits.len();
+            exits.push((middle, EXIT_SPACING_M));
             for c in frontier.crossings {
-                let far = |e: &CellIndex| f64::from(e.ix - c.ix).hypot(f64::from(e.iy - c.iy));
-                if exits[first..].iter().all(|e| far(e) >= spacing) {
-                    exits.push(c);
+                if exits[first..].iter().all(|(e, _)| far(*e, c) >= spacing) {
+                    exits.push((c, EXIT_SPACING_M));
                 }
             }
         }
@@ -146,3 +200,7 @@ fn joined(mut first: Guide, second: Guide) -> Guide {
     first.asked += second.asked;
     first
 }
+
+#[cfg(test)]
+#[path = "exits_tests.rs"]
+mod tests;

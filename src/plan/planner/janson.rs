@@ -9,7 +9,7 @@
 //! policy; it costs the candidates only what they will not have seen in time
 //! ([`Visibility`]).
 
-use super::exits::{Aim, Sampling};
+use super::exits::{Aim, Sampling, WayOut};
 use super::{Bends, Branch, Candidate, Planner, Policy, leaves_heading};
 use crate::frames::{Point, Vector};
 use crate::map::{Clearance, Grid};
@@ -86,29 +86,30 @@ impl Planner {
         branches: &[Branch],
         times: &mut StepTimes,
         candidates: &mut u32,
-    ) -> Option<(Aim, Guide)> {
+    ) -> Option<WayOut> {
         self.weigher.keep_time(request.scan_stamp);
         self.weigher.weighed.clear();
         self.hopes = self.is_blind(&request.grid);
         let mut ways = self.ways_out(request, &branches[0], Sampling::Spread, times);
         // The most promising ones first: what cannot be faster than the best one so far need not
         // be shaped.
-        ways.sort_by(|a, b| a.1.length_m.total_cmp(&b.1.length_m));
+        ways.sort_by(|a, b| a.guide.length_m.total_cmp(&b.guide.length_m));
         let speed_max_mps = self.params.speed.speed_max_mps;
-        let mut best: Option<(f64, usize)> = None;
-        for (i, (aim, guide)) in ways.iter().enumerate() {
-            let least_s = (guide.length_m - SHORTCUT_M) / speed_max_mps;
-            if best.is_some_and(|(cost_s, _)| least_s >= cost_s) {
+        let (mut costs, mut best_s) = (Vec::new(), f64::INFINITY);
+        for (i, way) in ways.iter().enumerate() {
+            let least_s = (way.guide.length_m - SHORTCUT_M) / speed_max_mps;
+            if least_s >= best_s + self.doubt_s(way) {
                 break;
             }
             *candidates += 1;
-            let Some(cost_s) = self.weigh(request, branches, *aim, guide, times) else { continue };
-            self.weigher.weighed.push(Weighed { aim: *aim, cost_s });
-            if best.is_none_or(|(least_s, _)| cost_s < least_s) {
-                best = Some((cost_s, i));
-            }
+            let cost_s = self.weigh(request, branches, way.aim, &way.guide, times);
+            let Some(cost_s) = cost_s else { continue };
+            self.weigher.weighed.push(Weighed { aim: way.aim, cost_s });
+            costs.push((i, cost_s));
+            best_s = best_s.min(cost_s);
         }
-        best.map(|(_, i)| ways.swap_remove(i))
+        let chosen = self.choose(request, &ways, &costs)?;
+        Some(ways.swap_remove(chosen))
     }
 
     /// Whether nothing is foreseen anywhere.
