@@ -78,6 +78,7 @@ sections! {
     predict: crate::predict::PredictParams,
     plan: crate::plan::PlanParams,
     search: crate::plan::search::SearchParams,
+    janson: crate::plan::JansonParams,
     manoeuvre: crate::plan::search::ManoeuvreParams,
     smooth: crate::plan::smooth::SmoothParams,
     speed: crate::plan::speed::SpeedParams,

@@ -160,6 +160,7 @@ fn planner_params(params: &Params) -> PlannerParams {
         speed: params.speed.clone(),
         certify: params.certify.clone(),
         foreseen: params.foreseen.clone(),
+        janson: params.janson.clone(),
     }
 }
 
