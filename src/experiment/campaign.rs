@@ -161,7 +161,8 @@ impl CampaignRequest {
         }
         spec.policy.clone_from(pick(&mut rng, &self.policies));
         let predictor = pick(&mut rng, &self.predictors).clone();
-        let listens = ![Policy::Frontier, Policy::KnownMap].map(Policy::name).contains(&&*spec.policy);
+        let listens =
+            ![Policy::Frontier, Policy::KnownMap].map(Policy::name).contains(&&*spec.policy);
         spec.predictor = if listens { predictor } else { PredictorKind::None.name().into() };
         spec.speed_max_mps = *pick(&mut rng, &self.speeds_mps);
         spec.latency = *pick(&mut rng, &self.latencies);
@@ -295,7 +296,15 @@ pub fn summary(records: &[&Record]) -> String {
         "{} drives: {} at the goal; {} with collisions, {} with unknown entries. Of {} worlds that \
          the known map leads through, {} stuck, {} out of time, {} given up; {} worlds that it does \
          not lead through either.",
-        t.runs, t.goal, t.collided, t.entered, t.solvable, t.stuck, t.timeout, t.unreachable, t.unsolvable
+        t.runs,
+        t.goal,
+        t.collided,
+        t.entered,
+        t.solvable,
+        t.stuck,
+        t.timeout,
+        t.unreachable,
+        t.unsolvable
     );
     if t.runs > 0 && t.is_safe() {
         text += &format!(
@@ -313,8 +322,18 @@ pub fn tables(records: &[&Record]) -> Vec<Table> {
         "Random drives by what was drawn. Stuck, out of time and given up count where the known map \
          leads to the goal; where it does not either, the drive is unsolvable.",
         &[
-            "by", "value", "drives", "goal", "stuck", "timeout", "given up", "unsolvable",
-            "collided", "entered unknown", "guard stops", "rejected %",
+            "by",
+            "value",
+            "drives",
+            "goal",
+            "stuck",
+            "timeout",
+            "given up",
+            "unsolvable",
+            "collided",
+            "entered unknown",
+            "guard stops",
+            "rejected %",
         ],
     );
     let mut group = |by: &str, value: &str, records: &[&Record]| {
@@ -403,7 +422,8 @@ mod tests {
     fn starts_and_goals_have_room_and_lie_on_whole_centimetres() {
         for task in request(60).tasks().unwrap() {
             let place = super::super::run::place(&task.spec).unwrap();
-            let [Some(start), Some(goal)] = [task.spec.start.map(|[x, y, _]| [x, y]), task.spec.goal]
+            let [Some(start), Some(goal)] =
+                [task.spec.start.map(|[x, y, _]| [x, y]), task.spec.goal]
             else {
                 continue;
             };

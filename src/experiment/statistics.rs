@@ -118,9 +118,12 @@ mod tests {
 
     #[test]
     fn critical_values_of_the_tables_have_their_probabilities() {
-        for (freedom, t, p) in
-            [(1.0, 12.7062, 0.05), (5.0, 4.0321, 0.01), (29.0, 2.0452, 0.05), (1000.0, 3.3003, 0.001)]
-        {
+        for (freedom, t, p) in [
+            (1.0, 12.7062, 0.05),
+            (5.0, 4.0321, 0.01),
+            (29.0, 2.0452, 0.05),
+            (1000.0, 3.3003, 0.001),
+        ] {
             let found = two_tailed(t, freedom).unwrap().p;
             assert!((found / p - 1.0).abs() < 1e-3, "{freedom}: {found}");
         }

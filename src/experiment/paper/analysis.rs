@@ -171,7 +171,8 @@ impl Analysis {
 
 fn bases<'a>(records: &[&'a Record]) -> Bases<'a> {
     let mut bases = Bases::new();
-    for record in records.iter().copied().filter(|r| r.task.spec.policy == Policy::KnownMap.name()) {
+    for record in records.iter().copied().filter(|r| r.task.spec.policy == Policy::KnownMap.name())
+    {
         let spec = &record.task.spec;
         let Some(seed) = maze_seed(spec) else { continue };
         let key = (spec.world.family(), seed, thousandths(spec.speed_max_mps));
@@ -281,8 +282,9 @@ fn comparisons(completions: &[Completion]) -> Vec<Comparison> {
     for a in completions {
         for b in completions {
             let same = (&a.family, &a.timing, a.speed_mps) == (&b.family, &b.timing, b.speed_mps);
-            let wanted = a.method == OURS && b.method != OURS && b.method != Policy::KnownMap.name()
-                || a.method == "janson+cnp" && b.method == "janson";
+            let wanted =
+                a.method == OURS && b.method != OURS && b.method != Policy::KnownMap.name()
+                    || a.method == "janson+cnp" && b.method == "janson";
             if !same || !wanted {
                 continue;
             }
@@ -347,8 +349,7 @@ fn ranges(records: &[&Record], bases: &Bases<'_>) -> Vec<RangeRow> {
         if known || spec.plan_period_s > 0.0 || !swept.contains(&place) {
             continue;
         }
-        let prediction =
-            (spec.predictor != "none").then(|| thousandths(spec.prediction_range_m));
+        let prediction = (spec.predictor != "none").then(|| thousandths(spec.prediction_range_m));
         let key = (speed, order(&spec.method()), thousandths(spec.lidar_range_m), prediction);
         groups.entry(key).or_default().push(record);
     }

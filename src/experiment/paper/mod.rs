@@ -10,7 +10,7 @@ mod tables;
 
 pub use analysis::{Analysis, Comparison, Completion, FloorRow, RangeRow, StepRow};
 pub use optima::{Optima, OptimaError};
-pub use request::{Method, MethodError, PaperRequest, Pace, Sweep};
+pub use request::{Method, MethodError, Pace, PaperRequest, Sweep};
 pub use tables::tables;
 
 /// Name of the experiment in its records.

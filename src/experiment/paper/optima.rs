@@ -64,7 +64,8 @@ mod tests {
 
     #[test]
     fn the_file_of_the_offline_solver_is_read() {
-        let optima = Optima::parse(include_str!("../../../tests/bench/optimum/optima.csv")).unwrap();
+        let optima =
+            Optima::parse(include_str!("../../../tests/bench/optimum/optima.csv")).unwrap();
         assert_eq!(optima.time_s(1, 1.0), Some(142.2867));
         assert_eq!((optima.time_s(1, 3.5), optima.time_s(999, 1.0)), (None, None));
     }

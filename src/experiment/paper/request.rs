@@ -37,7 +37,9 @@ pub struct Method {
 
 /// A method that cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no method: wanted is POLICY[+PREDICTOR][:section.key=value]..., as in map-predictive+cnp")]
+#[error(
+    "{text:?} is no method: wanted is POLICY[+PREDICTOR][:section.key=value]..., as in map-predictive+cnp"
+)]
 pub struct MethodError {
     /// What was given.
     pub text: String,
@@ -155,7 +157,8 @@ impl PaperRequest {
                     }
                 }
                 for spec in sweep.into_iter().flat_map(|s| self.swept(s, *family, *seed)) {
-                    let main = self.spec(*family, *seed, &known_map, spec.speed_max_mps, Pace::EachScan);
+                    let main =
+                        self.spec(*family, *seed, &known_map, spec.speed_max_mps, Pace::EachScan);
                     let ranges = |s: &RunSpec| (s.lidar_range_m, s.prediction_range_m);
                     let course = course(spec.speed_max_mps)
                         && self.speeds_mps.contains(&spec.speed_max_mps)

@@ -43,8 +43,21 @@ fn completion(analysis: &Analysis) -> Table {
          95 % interval; over the true optimum, where it is known; over the safe floor of the known \
          map's path.",
         &[
-            "mazes", "timing", "m/s", "method", "goal", "mean", "low", "high", "paper",
-            "over optimum", "optima", "over floor", "collisions", "unknown entries", "rejected %",
+            "mazes",
+            "timing",
+            "m/s",
+            "method",
+            "goal",
+            "mean",
+            "low",
+            "high",
+            "paper",
+            "over optimum",
+            "optima",
+            "over floor",
+            "collisions",
+            "unknown entries",
+            "rejected %",
             "age ms",
         ],
     );
@@ -79,8 +92,20 @@ fn comparison(analysis: &Analysis) -> Table {
         "Methods held against each other: difference of the completion times over the known map's, \
          with the bootstrapped 95 % interval over mazes, and two-tailed t tests, paired and Welch's.",
         &[
-            "mazes", "timing", "m/s", "method", "against", "n", "difference", "low", "high",
-            "paired t", "paired p", "Welch t", "Welch p", "paper's p",
+            "mazes",
+            "timing",
+            "m/s",
+            "method",
+            "against",
+            "n",
+            "difference",
+            "low",
+            "high",
+            "paired t",
+            "paired p",
+            "Welch t",
+            "Welch p",
+            "paper's p",
         ],
     );
     let t = |test: Option<TTest>| Cell::real(test.map(|t| t.t), 2);
@@ -109,7 +134,8 @@ fn comparison(analysis: &Analysis) -> Table {
 
 fn steps(analysis: &Analysis) -> Table {
     let parts = WallTimes::PARTS.map(|part| format!("{part} ms"));
-    let mut columns = vec!["method", "steps", "candidates", "p50 ms", "p99 ms", "mean ms", "factor"];
+    let mut columns =
+        vec!["method", "steps", "candidates", "p50 ms", "p99 ms", "mean ms", "factor"];
     columns.extend(parts.iter().map(String::as_str));
     columns.push("paper ms");
     let mut table = Table::new(
@@ -139,7 +165,10 @@ fn steps(analysis: &Analysis) -> Table {
 fn ranges(analysis: &Analysis) -> Table {
     let mut table = Table::new(
         "ranges",
-        format!("Completion time over the known map's by sensor and prediction range ({}).", stated::RANGES),
+        format!(
+            "Completion time over the known map's by sensor and prediction range ({}).",
+            stated::RANGES
+        ),
         &["method", "m/s", "sensor m", "prediction m", "drives", "mean", "low", "high"],
     );
     for row in &analysis.ranges {

@@ -9,7 +9,7 @@ use super::spec::{RunSpec, SpecError, Task, WorldSpec};
 use crate::experiment::floor;
 use crate::frames::{Point, Pose};
 use crate::mapfile::{self, MapFileError};
-use crate::plan::{Planning, Policy, Stopwatch};
+use crate::plan::{Policy, Stopwatch};
 use crate::predict::PredictorKind;
 use crate::sim::drive::{Outcome, Trace};
 use crate::sim::faults::FaultPlan;
@@ -104,20 +104,8 @@ pub fn place(spec: &RunSpec) -> Result<Place, RunError> {
 /// # Errors
 /// If the description makes no sense, or the drive cannot begin.
 pub fn execute(task: &Task, tools: &Tools<'_>) -> Result<Option<Driven>, RunError> {
-    execute_with(task, tools, None)
-}
-
-/// [`execute`] with another planner than the product's, to see what wrong ones come to.
-///
-/// # Errors
-/// Those of [`execute`].
-pub fn execute_with(
-    task: &Task,
-    tools: &Tools<'_>,
-    planning: Option<Box<dyn Planning>>,
-) -> Result<Option<Driven>, RunError> {
     let place = place(&task.spec)?;
-    let mut rig = rig(&task.spec, &place, tools, planning)?;
+    let mut rig = rig(&task.spec, &place, tools)?;
     let foresees = task.spec.policy != Policy::KnownMap.name()
         && task.spec.predictor != PredictorKind::None.name();
     if task.keep.course && foresees {
@@ -176,7 +164,7 @@ fn known_map(spec: &RunSpec, place: &Place, tools: &Tools<'_>) -> Result<Option<
         predictor: PredictorKind::None.name().into(),
         ..spec.clone()
     };
-    let mut rig = rig(&spec, place, tools, None)?;
+    let mut rig = rig(&spec, place, tools)?;
     while rig.outcome().is_none() {
         if tools.stop.load(Ordering::Relaxed) {
             return Ok(None);
@@ -186,12 +174,7 @@ fn known_map(spec: &RunSpec, place: &Place, tools: &Tools<'_>) -> Result<Option<
     Ok(Some(Drive::from(&rig.summary(0.0))))
 }
 
-fn rig(
-    spec: &RunSpec,
-    place: &Place,
-    tools: &Tools<'_>,
-    planning: Option<Box<dyn Planning>>,
-) -> Result<Rig, RunError> {
+fn rig(spec: &RunSpec, place: &Place, tools: &Tools<'_>) -> Result<Rig, RunError> {
     let params = spec.params()?;
     Ok(Rig::new(RigSetup {
         world: place.world.clone(),
@@ -210,7 +193,7 @@ fn rig(
         latency: spec.latency.latency(),
         time_limit_s: None,
         stopwatch: (tools.stopwatch)(),
-        planning,
+        planning: None,
     })?)
 }
 

@@ -20,8 +20,7 @@ const ZERO: i32 = i32::MIN;
 impl Histogram {
     /// Counts a figure.
     pub fn add(&mut self, value: f64) {
-        let step =
-            if value > 0.0 { (value.log2() * PER_OCTAVE).floor() as i32 } else { ZERO };
+        let step = if value > 0.0 { (value.log2() * PER_OCTAVE).floor() as i32 } else { ZERO };
         *self.0.entry(step).or_default() += 1;
     }
 
@@ -94,8 +93,16 @@ pub struct WallTimes {
 
 impl WallTimes {
     /// Names of the parts of a step.
-    pub const PARTS: [&str; 8] =
-        ["distances", "prediction", "search", "manoeuvre", "smoothing", "speed", "certificate", "rest"];
+    pub const PARTS: [&str; 8] = [
+        "distances",
+        "prediction",
+        "search",
+        "manoeuvre",
+        "smoothing",
+        "speed",
+        "certificate",
+        "rest",
+    ];
 
     /// Counts a step.
     pub fn add(&mut self, times: &StepTimes) {

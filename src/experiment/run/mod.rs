@@ -5,7 +5,7 @@ mod figures;
 mod record;
 mod spec;
 
-pub use execute::{Driven, RunError, Tools, execute, execute_with, place};
+pub use execute::{Driven, RunError, Tools, execute, place};
 pub use figures::{Figures, Histogram, WallTimes};
 pub use record::{Drive, Record};
 pub use spec::{Keep, RunSpec, SpecError, Task, Timing, WorldSpec};

@@ -177,7 +177,8 @@ impl RunSpec {
         let mut params =
             layers.build().map_err(|faults| SpecError::Parameters(faults.to_string()))?;
         let policy = Policy::from_name(&self.policy);
-        params.plan.policy = policy.ok_or_else(|| SpecError::Policy { name: self.policy.clone() })?;
+        params.plan.policy =
+            policy.ok_or_else(|| SpecError::Policy { name: self.policy.clone() })?;
         match PredictorKind::from_name(&self.predictor) {
             Some(kind) => params.predict.kind = kind,
             // As `--predictor FILE.onnx` has it.
@@ -227,7 +228,9 @@ impl RunSpec {
             text.write_fmt(words).expect("a string takes everything");
         };
         match &self.world {
-            WorldSpec::Maze { family, seed } => add(format_args!("--maze {seed} --family {family}")),
+            WorldSpec::Maze { family, seed } => {
+                add(format_args!("--maze {seed} --family {family}"))
+            }
             WorldSpec::Map { file } => add(format_args!("--map {}", quoted(file))),
         }
         if let Some([x, y, degrees]) = self.start {

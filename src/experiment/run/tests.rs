@@ -1,6 +1,6 @@
 use super::*;
-use crate::sim::maze::Family;
 use crate::experiment::floor::SafeFloor;
+use crate::sim::maze::Family;
 
 #[test]
 fn the_key_follows_the_description() {

@@ -58,8 +58,12 @@ pub struct RunArgs {
     #[arg(long, help_heading = "Work")]
     pub any_build: bool,
     /// Set one parameter in all drives; may be repeated.
-    #[arg(long, value_name = "SECTION.KEY=VALUE", allow_hyphen_values = true,
-        help_heading = "Configuration")]
+    #[arg(
+        long,
+        value_name = "SECTION.KEY=VALUE",
+        allow_hyphen_values = true,
+        help_heading = "Configuration"
+    )]
     pub set: Vec<String>,
     /// How the results are shown.
     #[command(flatten)]
@@ -234,7 +238,12 @@ pub struct CampaignArgs {
     #[arg(long, value_name = "NAME", value_delimiter = ',', help_heading = "What is driven")]
     pub policies: Vec<String>,
     /// Predictors to draw from.
-    #[arg(long, value_name = "NAME|FILE.onnx", value_delimiter = ',', help_heading = "What is driven")]
+    #[arg(
+        long,
+        value_name = "NAME|FILE.onnx",
+        value_delimiter = ',',
+        help_heading = "What is driven"
+    )]
     pub predictors: Vec<String>,
     /// Highest speeds to draw from, m/s.
     #[arg(long, value_name = "M/S", value_parser = cli::positive, value_delimiter = ',',
@@ -316,7 +325,8 @@ mod tests {
     use crate::shell::cli::{Cli, Command};
 
     fn paper(arguments: &str) -> PaperRequest {
-        let words = ["apexd", "experiment", "paper"].into_iter().chain(arguments.split_whitespace());
+        let words =
+            ["apexd", "experiment", "paper"].into_iter().chain(arguments.split_whitespace());
         match Cli::try_parse_from(words).unwrap().command {
             Command::Experiment(ExperimentArgs { which: Which::Paper(args) }) => args.request(),
             other => panic!("{other:?}"),
@@ -329,7 +339,10 @@ mod tests {
         assert_eq!((small.seeds.len(), small.speeds_mps.len(), &small.sweep), (3, 1, &None));
         assert!(small.seeds.iter().all(|seed| *seed >= 1_000_000));
         let paper_ = paper("--preset paper");
-        assert_eq!((paper_.seeds.len(), paper_.speeds_mps.as_slice()), (30, &[1.0, 2.0, 3.0, 4.0][..]));
+        assert_eq!(
+            (paper_.seeds.len(), paper_.speeds_mps.as_slice()),
+            (30, &[1.0, 2.0, 3.0, 4.0][..])
+        );
         assert_eq!(paper_.paces, [Pace::EachScan, Pace::Paper]);
         assert_eq!(paper_.sweep.unwrap().sensor_m, [2.5, 5.0, 7.5, 10.0]);
         let full = paper("--preset full");

@@ -49,11 +49,7 @@ fn failed(error: impl std::fmt::Display) -> Trouble {
     (Exit::Failed, error.to_string())
 }
 
-fn run_paper(
-    args: &PaperArgs,
-    terminal: &Terminal,
-    out: &mut dyn Write,
-) -> Result<Exit, Trouble> {
+fn run_paper(args: &PaperArgs, terminal: &Terminal, out: &mut dyn Write) -> Result<Exit, Trouble> {
     let optima = optima(&args.run.show)?;
     let tasks = args.request().tasks().map_err(usage)?;
     drive(paper::NAME, &args.run, &tasks, &optima, terminal, out)
@@ -94,7 +90,9 @@ fn drive(
     let pictures = folder::prepare(Some(&place.join("figures"))).map_err(usage)?;
     let tasks: Vec<Task> = match args.shard {
         // In the order of their keys, so that long and short drives are spread evenly.
-        Some([i, n]) => (0..).zip(tasks).filter(|(k, _)| k % n == i).map(|(_, t)| t.clone()).collect(),
+        Some([i, n]) => {
+            (0..).zip(tasks).filter(|(k, _)| k % n == i).map(|(_, t)| t.clone()).collect()
+        }
         None => tasks.to_vec(),
     };
     let keys: BTreeSet<String> = tasks.iter().map(Task::key).collect();
@@ -124,7 +122,9 @@ fn drive(
         .count();
     let shown = if args.shard.is_some() && !done.interrupted {
         // Tables of a part would be taken for those of the whole.
-        let text = format!("{count} drives of this part are done; join the parts with `apexd experiment merge`");
+        let text = format!(
+            "{count} drives of this part are done; join the parts with `apexd experiment merge`"
+        );
         if args.show.json {
             say(out, &json!({ "experiment": name, "drives": count }).to_string());
         } else {
@@ -139,7 +139,9 @@ fn drive(
     }
     if done.interrupted {
         let total = tasks.len();
-        complain(&format!("interrupted: {count} of {total} drives are done; the same command goes on"));
+        complain(&format!(
+            "interrupted: {count} of {total} drives are done; the same command goes on"
+        ));
     }
     shown?;
     let well = done.crashed.is_empty() && !done.interrupted && unsafe_drives == 0;
@@ -162,7 +164,8 @@ fn merge(args: &MergeArgs, out: &mut dyn Write) -> Result<Exit, Trouble> {
             programs.join(", ")
         )));
     }
-    let place = folder::prepare(Some(args.out.as_ref().unwrap_or(&args.folders[0]))).map_err(usage)?;
+    let place =
+        folder::prepare(Some(args.out.as_ref().unwrap_or(&args.folders[0]))).map_err(usage)?;
     join(&place, args, &results, &sessions).map_err(failed)?;
     let names: BTreeSet<&str> = results.iter().map(|r| &*r.task.experiment).collect();
     if results.is_empty() {
@@ -188,7 +191,8 @@ fn join(
     let from_elsewhere = args.folders.iter().filter(|folder| **folder != place);
     for folder in from_elsewhere {
         let from = folder.join("figures");
-        let found = if from.is_dir() { store::files(&from, "prediction-", "")? } else { Vec::new() };
+        let found =
+            if from.is_dir() { store::files(&from, "prediction-", "")? } else { Vec::new() };
         for path in found {
             let to = pictures.join(path.file_name().unwrap_or_default());
             std::fs::copy(&path, &to).map_err(|error| fail(&to, error))?;
@@ -207,10 +211,11 @@ fn join(
         std::fs::rename(&draft, &path).map_err(|error| fail(&path, error))?;
     }
     // The parts are in the whole now.
-    for path in store::files(place, "results-", ".jsonl")?
-        .into_iter()
-        .chain(store::files(place, "sessions-", ".jsonl")?)
-    {
+    for path in store::files(place, "results-", ".jsonl")?.into_iter().chain(store::files(
+        place,
+        "sessions-",
+        ".jsonl",
+    )?) {
         std::fs::remove_file(&path).map_err(|error| fail(&path, error))?;
     }
     Ok(())
@@ -271,7 +276,11 @@ fn show_results(
     } else {
         let mut text: Vec<String> = tables.iter().map(Table::markdown).collect();
         text.extend((!summary.is_empty()).then_some(summary));
-        text.push(format!("{} drives; tables and figures are in {}", records.len(), place.display()));
+        text.push(format!(
+            "{} drives; tables and figures are in {}",
+            records.len(),
+            place.display()
+        ));
         say(out, &text.join("\n"));
     }
     Ok(())
@@ -283,8 +292,7 @@ fn write_tables(folder: &Path, tables: &[Table]) -> Result<(), StoreError> {
     std::fs::create_dir_all(&place).map_err(|error| fail(&place, error))?;
     for table in tables {
         let json = serde_json::to_string_pretty(&table.json()).expect("a table is plain data");
-        for (kind, text) in
-            [("csv", table.csv()), ("json", json + "\n"), ("md", table.markdown())]
+        for (kind, text) in [("csv", table.csv()), ("json", json + "\n"), ("md", table.markdown())]
         {
             let path = folder.join(format!("{}.{kind}", table.name));
             std::fs::write(&path, text).map_err(|error| fail(&path, error))?;

@@ -64,12 +64,8 @@ impl Store {
     pub fn open(folder: &Path, shard: Option<[u64; 2]>) -> Result<Self, StoreError> {
         let path = folder.join(format!("results{}.jsonl", suffix(shard)));
         let fail = |error| StoreError::File { path: path.clone(), error };
-        let file = OpenOptions::new()
-            .create(true)
-            .read(true)
-            .append(true)
-            .open(&path)
-            .map_err(fail)?;
+        let file =
+            OpenOptions::new().create(true).read(true).append(true).open(&path).map_err(fail)?;
         let text = std::fs::read_to_string(&path).map_err(fail)?;
         file.set_len(whole_lines(&text).len() as u64).map_err(fail)?;
         Ok(Self { file: Mutex::new(file), path })

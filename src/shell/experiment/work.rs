@@ -142,8 +142,7 @@ fn write_snapshots(folder: &Path, driven: &Driven) -> Result<(), ReportError> {
     let truth = if driven.snapshots.is_empty() { Vec::new() } else { walls(&driven.place.world) };
     let title = format!("{} · {} m/s", spec.method(), spec.speed_max_mps);
     let goal_radius_m = spec.params().map_or(0.5, |params| params.autopilot.goal_radius_m);
-    let scenery =
-        Scenery { title: &title, truth: &truth, goal: driven.place.goal, goal_radius_m };
+    let scenery = Scenery { title: &title, truth: &truth, goal: driven.place.goal, goal_radius_m };
     for (i, snapshot) in driven.snapshots.iter().enumerate() {
         let name = format!("prediction-{}-{}-{}", spec.world.family(), spec.method(), i + 1);
         let name: String =

@@ -138,7 +138,8 @@ fn completion(rows: &[&Completion], title: &str) -> String {
     let names_px: f64 = entries.iter().map(|(name, _)| 35.0 + width_of(name, 13.0)).sum();
     let width = (group * speeds.len() as f64).max(names_px + 180.0);
     let ends = rows.iter().filter_map(|row| row.ratio);
-    let highest = ends.clone().map(|r| r.high).chain(rows.iter().filter_map(|r| Some(r.stated?[1])));
+    let highest =
+        ends.clone().map(|r| r.high).chain(rows.iter().filter_map(|r| Some(r.stated?[1])));
     let top = highest.fold(1.02, f64::max);
     let bottom = ends.map(|r| r.low).fold(1.0, f64::min);
     let y = [bottom - 0.04 * (top - bottom), top + 0.06 * (top - bottom)];
@@ -232,7 +233,11 @@ fn steps(rows: &[StepRow]) -> String {
         }
         svg.text([frame.right() + 12.0, middle + 5.0], 13.0, Anchor::Start, INK, &text);
     }
-    frame.draw_x(&mut svg, &marks, "ms; bars are means by part, the line ends at the 99th percentile");
+    frame.draw_x(
+        &mut svg,
+        &marks,
+        "ms; bars are means by part, the line ends at the 99th percentile",
+    );
     svg.finish()
 }
 

@@ -55,9 +55,8 @@ fn clumps(rng: &mut ChaCha8Rng, fill_percent: u32) -> Vec<bool> {
     for _ in 0..ROUNDS {
         let neighbours = |i: usize| {
             let (column, row) = ((i % COLUMNS) as isize, (i / COLUMNS) as isize);
-            let inside = |x: isize, y: isize| {
-                x >= 0 && y >= 0 && x < COLUMNS as isize && y < ROWS as isize
-            };
+            let inside =
+                |x: isize, y: isize| x >= 0 && y >= 0 && x < COLUMNS as isize && y < ROWS as isize;
             let mut count = 0;
             for (dx, dy) in (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy))) {
                 let (x, y) = (column + dx, row + dy);
