@@ -80,6 +80,7 @@ sections! {
     predict: crate::predict::PredictParams,
     plan: crate::plan::PlanParams,
     search: crate::plan::search::SearchParams,
+    janson: crate::plan::JansonParams,
     manoeuvre: crate::plan::search::ManoeuvreParams,
     smooth: crate::plan::smooth::SmoothParams,
     speed: crate::plan::speed::SpeedParams,
@@ -118,6 +119,7 @@ impl Params {
             speed: self.speed.clone(),
             certify: self.certify.clone(),
             foreseen: self.foreseen.clone(),
+            janson: self.janson.clone(),
         }
     }
 }

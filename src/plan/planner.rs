@@ -30,11 +30,16 @@ use crate::time::Duration;
 use crate::vehicle::VehicleParams;
 use crate::{choices, tunables};
 
+mod exits;
 mod guides;
+mod janson;
 mod turning;
 mod ways;
 
+use exits::Aim;
 use guides::GuideFailure;
+pub use janson::JansonParams;
+use janson::Weigher;
 use ways::{Way, join, leaves_heading, with_transitions};
 
 choices! {
@@ -44,8 +49,26 @@ choices! {
         MapPredictive = "map-predictive",
         /// To the frontier whose centroid is nearest to the goal (the paper's naive baseline).
         Frontier = "frontier",
+        /// Through the exit from known space that promises the earliest arrival, each one's path
+        /// shaped and timed, no faster than what will have been seen allows (after Janson, Hu and
+        /// Pavone 2018).
+        Janson = "janson",
+        /// The same, timed without regard to what will have been seen, but with a price for
+        /// arriving at the exit in another direction than the way goes on.
+        JansonLite = "janson-lite",
         /// All the way over a map that is known from the start (the reference).
         KnownMap = "known-map",
+    }
+}
+
+choices! {
+    /// How the policy map-predictive gets to the goal (the paper's text allows both).
+    pub enum Reading {
+        /// One search, from the car to the goal.
+        Direct = "direct",
+        /// The cheapest over all frontiers of the way through known space to the frontier's middle
+        /// and on to the goal.
+        ViaFrontier = "via-frontier",
     }
 }
 
@@ -68,6 +91,8 @@ tunables! {
     pub struct PlanParams in "plan" {
         /// How the way is chosen.
         policy: Policy = Policy::MapPredictive, at_rest, one of;
+        /// How the policy map-predictive gets to the goal.
+        reading: Reading = Reading::Direct, live, one of;
         /// Clearance granted to the path's shape beside unknown space, beyond what the certificate
         /// asks for; the certificate then ends the executable part before it.
         unknown_room_m: f64 = 0.3, live, in 0.0..=2.0, "m";
@@ -79,6 +104,13 @@ tunables! {
         stop_rule: StopRule = StopRule::TurnRound, live, one of;
         /// Plans end this far inside the goal disc.
         goal_depth_m: f64 = 0.1, live, in 0.0..=1.0, "m";
+    }
+}
+
+impl Policy {
+    /// Whether what is foreseen has a say in the way.
+    const fn is_predictive(self) -> bool {
+        matches!(self, Self::MapPredictive | Self::Janson | Self::JansonLite)
     }
 }
 
@@ -101,6 +133,8 @@ pub struct PlannerParams {
     pub certify: CertifyParams,
     /// What of a prediction shapes rely on.
     pub foreseen: ForeseenParams,
+    /// How exits from known space are weighed.
+    pub janson: JansonParams,
 }
 
 /// Reads the wall clock, for statistics only; a constant makes the planner a pure function.
@@ -130,6 +164,11 @@ pub struct Planner {
     foreseen: Foreseen,
     lethal: Vec<bool>,
     tight: Vec<bool>,
+    /// What this step's guide aims at.
+    aim: Aim,
+    /// Whether this step's searches take unknown space for free, as nothing is foreseen of it.
+    hopes: bool,
+    weigher: Weigher,
     impasses: Impasses,
     tracks: turning::Tracks,
     guide: GuideSearch,
@@ -172,6 +211,9 @@ impl Planner {
             foreseen: Foreseen::new(FIELD_CAP_M),
             lethal: Vec::new(),
             tight: Vec::new(),
+            aim: Aim::Anywhere,
+            hopes: false,
+            weigher: Weigher::default(),
             impasses: Impasses::default(),
             tracks: turning::Tracks::default(),
             guide: GuideSearch::new(),
@@ -226,10 +268,10 @@ impl Planner {
         if self.nearly_there(request, &here) {
             return Verdict::Keep;
         }
-        let mut found = self.guide_foreseen(request, &here, times);
+        let mut found = self.propose(request, &branches, times, candidates);
         if found.is_err() && self.impasses.blame_closed(here.point.position) {
             self.set_masks(request);
-            found = self.guide_foreseen(request, &here, times);
+            found = self.propose(request, &branches, times, candidates);
         }
         let guide = match found {
             Ok(guide) => guide,
@@ -306,7 +348,7 @@ impl Planner {
             let way = if branch.s_m == here.s_m {
                 Ok(guide.clone())
             } else {
-                self.guide(request, &branch, times)
+                self.guide(request, &branch, self.aim, times)
             };
             let turn = way
                 .map_err(|_| Rejection::NothingToGain)
@@ -314,7 +356,7 @@ impl Planner {
                 .and_then(|way| self.shaped(request, &branch, way, Bends::AsCommitted, times));
             match turn {
                 Ok(candidate) => {
-                    if let Some(cost_s) = self.cost_s(request, &candidate) {
+                    if let Some(cost_s) = self.cost_s(request, &candidate, None) {
                         turns.push((cost_s, candidate));
                     }
                 }
@@ -551,12 +593,18 @@ impl Planner {
         Ok(Candidate { path, reaches_goal, rest_m })
     }
 
-    /// Seconds to the end of the imagined way, if the car can drive it from its present speed.
-    fn cost_s(&mut self, request: &PlanRequest, candidate: &Candidate) -> Option<f64> {
+    /// Seconds to the end of the imagined way, if the car can drive it from its present speed, under
+    /// further speed caps if any are given.
+    fn cost_s(
+        &mut self,
+        request: &PlanRequest,
+        candidate: &Candidate,
+        caps_mps: Option<&[f64]>,
+    ) -> Option<f64> {
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
         let start_speed_mps = request.committed.trajectory.at(request.takes_over).speed_mps;
         let speed_max_mps = limits.speed_max_mps;
-        let task = SpeedTask { start_speed_mps, end: End::Speed(speed_max_mps), caps_mps: None };
+        let task = SpeedTask { start_speed_mps, end: End::Speed(speed_max_mps), caps_mps };
         let driven_s = self.profiler.travel_time_s(&candidate.path.points, &limits, &task).ok()?;
         Some(driven_s + candidate.rest_m / speed_max_mps)
     }

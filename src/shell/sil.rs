@@ -64,7 +64,9 @@ impl SilRequest {
         };
         let policy = self.params.plan.policy;
         let predictor = match policy {
-            Policy::MapPredictive => format!(", {}", self.predictor()),
+            Policy::MapPredictive | Policy::Janson | Policy::JansonLite => {
+                format!(", {}", self.predictor())
+            }
             Policy::Frontier | Policy::KnownMap => String::new(),
         };
         format!("{world} · {}{predictor}", policy.name())

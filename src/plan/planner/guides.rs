@@ -1,15 +1,25 @@
 //! The way to go, as a polyline: to the goal over known and foreseen map, or to a frontier.
 
+use super::exits::Aim;
 use super::{Branch, Lap, Planner, Policy, SHAPE_SLACK_M, SHORTEST_PLAN_M};
 use crate::frames::Point;
 use crate::map::{Clearance, Grid};
 use crate::plan::bubbles::ClearanceField;
 use crate::plan::foreseen::ShapeField;
 use crate::plan::request::{PlanRequest, StepTimes};
-use crate::plan::search::{Guide, SearchError, SearchQuery, Terrain};
+use crate::plan::search::{Guide, Penalty, SearchError, SearchParams, SearchQuery, Terrain};
 
 /// How often a guide is sought anew because obstacles are foreseen in its way.
 const GUIDES_MAX: usize = 4;
+
+/// Which cells the centre of the disc is kept off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Mask {
+    /// Those too near to occupied space, and closed places.
+    Lethal,
+    /// Those too near to anything that is not known to be free.
+    Tight,
+}
 
 /// Why there is no guide.
 pub(super) enum GuideFailure {
@@ -24,10 +34,11 @@ impl Planner {
         &mut self,
         request: &PlanRequest,
         branch: &Branch,
+        aim: Aim,
         times: &mut StepTimes,
     ) -> Result<Guide, GuideFailure> {
-        if self.params.plan.policy != Policy::MapPredictive {
-            return self.guide(request, branch, times);
+        if !self.params.plan.policy.is_predictive() {
+            return self.guide(request, branch, aim, times);
         }
         let plan = &request.committed;
         let under_way = plan.trajectory.points.iter().map(|p| p.path);
@@ -36,7 +47,7 @@ impl Planner {
         self.look_beside(&request.grid, ahead, times);
         for _ in 0..GUIDES_MAX {
             let was_silent = self.foreseen.is_silent();
-            let found = self.guide_round_foreseen(request, branch, times);
+            let found = self.guide_round_foreseen(request, branch, aim, times);
             let Ok(guide) = found else {
                 if was_silent {
                     return found;
@@ -49,7 +60,7 @@ impl Planner {
             }
         }
         // What is foreseen to be in the way everywhere may not be there.
-        self.guide(request, branch, times)
+        self.guide(request, branch, aim, times)
     }
 
     /// The guide if all obstacles foreseen so far were known.
@@ -57,15 +68,16 @@ impl Planner {
         &mut self,
         request: &PlanRequest,
         branch: &Branch,
+        aim: Aim,
         times: &mut StepTimes,
     ) -> Result<Guide, GuideFailure> {
         if self.foreseen.is_silent() {
-            return self.guide(request, branch, times);
+            return self.guide(request, branch, aim, times);
         }
         let known = self.lethal.clone();
         let least_m = self.mask_radius_m(&request.grid) as f32;
         self.foreseen.mask(&request.grid, least_m, &mut self.lethal);
-        let found = self.guide(request, branch, times);
+        let found = self.guide(request, branch, aim, times);
         self.lethal = known;
         found
     }
@@ -93,20 +105,15 @@ impl Planner {
         times.field += lap.take(&self.clock).saturating_sub(predicted);
     }
 
+    /// The guide from a branch point over the map as it is masked now.
     pub(super) fn guide(
         &mut self,
         request: &PlanRequest,
         branch: &Branch,
+        aim: Aim,
         times: &mut StepTimes,
     ) -> Result<Guide, GuideFailure> {
-        let grid = &request.grid;
-        let terrain = Terrain {
-            resolution_m: grid.resolution_m(),
-            bounds: grid.bounds(),
-            cells: grid.cells(),
-            lethal: &self.lethal,
-        };
-        let mut query = SearchQuery {
+        let query = SearchQuery {
             start: branch.point.position,
             goal: request.goal.position,
             goal_radius_m: 0.0,
@@ -114,33 +121,53 @@ impl Planner {
             through_unknown: true,
         };
         let mut lap = Lap::new(&self.clock);
-        let params = &self.params.search;
         let predicted = self.predictor.spent();
-        let mut view = self.predictor.view(&self.clock);
-        let found = if self.params.plan.policy == Policy::Frontier {
-            query.through_unknown = false;
-            let tight = Terrain { lethal: &self.tight, ..terrain };
-            match self.guide.find(&tight, &query, &mut view, params) {
-                Err(SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }) => {
-                    self.frontier_guide(request, &mut query)
-                }
-                found => found,
+        let found = match (aim, self.params.plan.policy) {
+            (Aim::Anywhere, Policy::Frontier) => self.naive_guide(request, query),
+            (Aim::Anywhere, _) => self.search(&request.grid, &query, Mask::Lethal),
+            (Aim::Known, _) => {
+                let query = SearchQuery { through_unknown: false, ..query };
+                self.search(&request.grid, &query, Mask::Lethal)
             }
-        } else {
-            self.guide.find(&terrain, &query, &mut view, params)
+            (Aim::Through(exit), _) => self.guide_through(request, query, exit),
         };
         let predicted = self.predictor.spent().saturating_sub(predicted);
         times.search += lap.take(&self.clock).saturating_sub(predicted);
         let mut guide = found.map_err(|error| match error {
             SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }
-                if self.params.plan.policy != Policy::Frontier =>
+                if aim == Aim::Anywhere && self.params.plan.policy != Policy::Frontier =>
             {
                 GuideFailure::Unreachable
             }
             _ => GuideFailure::Nothing,
         })?;
-        self.keep_off_walls(grid, &mut guide);
+        self.keep_off_walls(&request.grid, &mut guide);
         Ok(guide)
+    }
+
+    /// One search over the known map and what the predictor says of the rest.
+    pub(super) fn search(
+        &mut self,
+        grid: &Grid,
+        query: &SearchQuery,
+        mask: Mask,
+    ) -> Result<Guide, SearchError> {
+        let lethal = match mask {
+            Mask::Lethal => &self.lethal,
+            Mask::Tight => &self.tight,
+        };
+        let terrain = Terrain {
+            resolution_m: grid.resolution_m(),
+            bounds: grid.bounds(),
+            cells: grid.cells(),
+            lethal,
+        };
+        let mut params = self.params.search.clone();
+        if self.hopes {
+            params = SearchParams { penalty: Penalty::Edge, alpha: 0.0, ..params };
+        }
+        let mut view = self.predictor.view(&self.clock);
+        self.guide.find(&terrain, query, &mut view, &params)
     }
 
     /// Moves the guide's points that are nearer to a wall than shapes may be, by the part of a cell
@@ -167,31 +194,30 @@ impl Planner {
         }
     }
 
-    /// The naive baseline: to the frontier whose centroid is nearest to the goal, through known
-    /// space alone.
-    fn frontier_guide(
+    /// The naive baseline: to the goal, or to the frontier whose centroid is nearest to it, through
+    /// known space alone.
+    fn naive_guide(
         &mut self,
         request: &PlanRequest,
-        query: &mut SearchQuery,
+        query: SearchQuery,
     ) -> Result<Guide, SearchError> {
         let grid = &request.grid;
+        let mut query = SearchQuery { through_unknown: false, ..query };
+        let found = self.search(grid, &query, Mask::Tight);
+        if !matches!(found, Err(SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }))
+        {
+            return found;
+        }
         let start = grid.cell_at(query.start);
         let mut frontiers = self.frontiers.find(grid, &self.occupied, start, self.keep_m());
         let to_goal = |p: Point| (p - request.goal.position).norm();
         frontiers.sort_by(|a, b| to_goal(a.centroid).total_cmp(&to_goal(b.centroid)));
-        let terrain = Terrain {
-            resolution_m: grid.resolution_m(),
-            bounds: grid.bounds(),
-            cells: grid.cells(),
-            lethal: &self.tight,
-        };
         let mut last = SearchError::Unreachable { expanded: 0 };
         for frontier in &frontiers {
             query.goal = grid.centre(frontier.representative);
             // The disc cannot stand on the frontier itself.
             query.goal_radius_m = self.keep_m() + 2.0 * grid.resolution_m();
-            let mut view = self.predictor.view(&self.clock);
-            match self.guide.find(&terrain, query, &mut view, &self.params.search) {
+            match self.search(grid, &query, Mask::Tight) {
                 Ok(guide) if guide.length_m > SHORTEST_PLAN_M => return Ok(guide),
                 Ok(_) => {}
                 Err(error) => last = error,
