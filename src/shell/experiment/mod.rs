@@ -18,10 +18,11 @@ use store::{Session, Store, StoreError};
 use super::progress::Terminal;
 use super::report::experiment as figures;
 use super::{Exit, complain, folder, say};
+use crate::experiment::campaign::CampaignError;
 use crate::experiment::dataset::find_maps;
 use crate::experiment::paper::{Analysis, Optima};
 use crate::experiment::results::Results;
-use crate::experiment::run::{Record, Task};
+use crate::experiment::run::{Record, RunError, SpecError, Task};
 use crate::experiment::table::Table;
 use crate::experiment::{campaign, paper};
 
@@ -45,13 +46,19 @@ fn usage(error: impl std::fmt::Display) -> Trouble {
     (Exit::Usage, error.to_string())
 }
 
+/// Parameters that are refused are a matter of configuration, all else of usage.
+fn refused(error: &SpecError) -> Trouble {
+    let configuration = matches!(error, SpecError::Parameters(_));
+    (if configuration { Exit::Configuration } else { Exit::Usage }, error.to_string())
+}
+
 fn failed(error: impl std::fmt::Display) -> Trouble {
     (Exit::Failed, error.to_string())
 }
 
 fn run_paper(args: &PaperArgs, terminal: &Terminal, out: &mut dyn Write) -> Result<Exit, Trouble> {
     let optima = optima(&args.run.show)?;
-    let tasks = args.request().tasks().map_err(usage)?;
+    let tasks = args.request().tasks().map_err(|error| refused(&error))?;
     drive(paper::NAME, &args.run, &tasks, &optima, terminal, out)
 }
 
@@ -62,7 +69,10 @@ fn run_campaign(
 ) -> Result<Exit, Trouble> {
     let found = find_maps(&args.maps).map_err(usage)?;
     let maps = found.iter().map(|(file, _)| file.to_string_lossy().into_owned()).collect();
-    let tasks = args.request(maps).tasks().map_err(usage)?;
+    let tasks = args.request(maps).tasks().map_err(|error| match error {
+        CampaignError::Run(RunError::Spec(error)) => refused(&error),
+        error => usage(error),
+    })?;
     drive(campaign::NAME, &args.run, &tasks, &Optima::default(), terminal, out)
 }
 
@@ -120,7 +130,7 @@ fn drive(
         .iter()
         .filter(|record| record.drive.collisions + record.drive.unknown_entries > 0)
         .count();
-    let shown = if args.shard.is_some() && !done.interrupted {
+    let shown = if args.shard.is_some() {
         // Tables of a part would be taken for those of the whole.
         let text = format!(
             "{count} drives of this part are done; join the parts with `apexd experiment merge`"
