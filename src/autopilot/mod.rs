@@ -49,6 +49,8 @@ tunables! {
         goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
         /// Time granted to a planning step: the new plan takes over this long after the request.
         plan_budget_s: f64 = 0.02, at_rest, in 0.001..=1.0, "s";
+        /// Least time between two planning requests; 0 asks for a plan after every scan.
+        plan_period_s: f64 = 0.0, at_rest, in 0.0..=10.0, "s";
         /// Time between two braking tails while driving.
         tail_period_s: f64 = 0.05, at_rest, in 0.01..=0.5, "s";
         /// Tracking error at which the car is stopped: along with pose and map errors it must stay
@@ -82,6 +84,8 @@ const REST_SPEED_MPS: f64 = 0.02;
 const RETIME_SPEED_MIN_MPS: f64 = 0.3;
 /// Largest shift at once, seconds: the period of a 20 Hz lidar.
 const RETIME_MAX_S: f64 = 0.05;
+/// A planning request may come this much before its period is over, seconds.
+const PLAN_PERIOD_SLACK_S: f64 = 0.005;
 /// Heartbeats are sent this often, seconds.
 const HEARTBEAT_PERIOD_S: f64 = 0.1;
 
@@ -109,6 +113,7 @@ pub struct Autopilot {
     next_tail: Instant,
     next_heartbeat: Instant,
     last_adopted: Instant,
+    next_request: Instant,
     tail_frames: Vec<CanFrame>,
     frames: VecDeque<CanFrame>,
     events: VecDeque<Event>,
@@ -154,6 +159,7 @@ impl Autopilot {
             next_tail: now,
             next_heartbeat: now,
             last_adopted: now,
+            next_request: now,
             tail_frames: Vec::new(),
             frames: VecDeque::new(),
             events: VecDeque::new(),
@@ -361,6 +367,7 @@ impl Autopilot {
                 self.goal = Some(Goal { position, radius_m });
                 self.clear(now, Fault::GoalUnreachable);
                 self.last_adopted = now;
+                self.next_request = now;
                 if self.mode != Mode::Stop {
                     self.transition(now, Mode::Drive);
                 }
@@ -461,9 +468,12 @@ impl Autopilot {
         else {
             return;
         };
-        if self.decisive_action().is_some() {
+        if self.decisive_action().is_some() || now < self.next_request {
             return;
         }
+        // Scans come a little early or late; half a millisecond must not cost a whole scan.
+        let wait_s = (self.params.autopilot.plan_period_s - PLAN_PERIOD_SLACK_S).max(0.0);
+        self.next_request = now.offset_by(wait_s);
         self.catch_up_with_car(now);
         let number = self.take_number();
         self.in_flight = Some(number);
@@ -648,7 +658,9 @@ impl Autopilot {
             self.inputs.corrupt_at.pop_front();
         }
         let corrupt = self.inputs.corrupt_at.len() as u32;
-        let late_plan = self.mode == Mode::Drive && age(Some(self.last_adopted)) > PLAN_TIMEOUT_S;
+        // Where plans are asked for seldom, none is late before the next one is due.
+        let plan_timeout_s = PLAN_TIMEOUT_S + self.params.autopilot.plan_period_s;
+        let late_plan = self.mode == Mode::Drive && age(Some(self.last_adopted)) > plan_timeout_s;
         let by_itself = [
             (Fault::ScanLate, driving && age(self.inputs.scan_received) > SCAN_TIMEOUT_S),
             (

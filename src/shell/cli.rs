@@ -6,6 +6,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::configuration::Flag;
+use super::experiment::args::ExperimentArgs;
 use super::sil::{SilRequest, WorldSource};
 use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
 use crate::experiment::evaluate::{Request, SceneSource, SetRequest};
@@ -43,6 +44,8 @@ pub enum Command {
     Dataset(Box<DatasetArgs>),
     /// Score what predicts occupancy, on scenes that it has not seen.
     Evaluate(Box<EvaluateArgs>),
+    /// Re-run the paper's experiments, or look for unsafe drives at random.
+    Experiment(ExperimentArgs),
     /// Print the table of parameters.
     Params(ParamsArgs),
     /// Say what is wrong with a configuration file.
@@ -484,7 +487,7 @@ fn choice<T: Copy + Send + Sync + 'static>(
     })
 }
 
-fn family() -> impl TypedValueParser<Value = Family> {
+pub(super) fn family() -> impl TypedValueParser<Value = Family> {
     choice(Family::ALL, Family::name, Family::text)
 }
 
@@ -548,7 +551,7 @@ fn point(text: &str) -> Result<Point, String> {
     Ok(Point::new(x, y))
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| "wanted is a number above zero".to_owned())
 }
@@ -558,7 +561,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "wanted is a number of seconds, zero or more".to_owned())
 }
 
-fn latency(text: &str) -> Result<Latency, String> {
+pub(super) fn latency(text: &str) -> Result<Latency, String> {
     if text == "measured" {
         return Ok(Latency::Measured);
     }

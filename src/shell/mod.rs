@@ -5,6 +5,7 @@ pub mod cli;
 mod configuration;
 mod dataset;
 mod evaluate;
+mod experiment;
 mod folder;
 mod pace;
 mod progress;
@@ -67,6 +68,7 @@ fn execute(
         Command::Maze(args) => maze(args, simulator, out),
         Command::Dataset(args) => dataset::run(args, terminal, out),
         Command::Evaluate(args) => evaluate::run(args, terminal, out),
+        Command::Experiment(args) => experiment::run(args, terminal, out),
         Command::Params(args) => params(*args, out),
         Command::Check(args) => check(args, out),
     }

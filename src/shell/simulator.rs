@@ -6,11 +6,9 @@ use std::path::Path;
 use super::pace;
 use super::report::{DriveRecord, outline};
 use super::sil::{Progress, RunError, SilRequest, Simulator, WorldSource};
-use crate::autopilot::{Action, CoreParams, Event};
+use crate::autopilot::{Action, Event};
 use crate::frames::{Point, Pose};
 use crate::mapfile;
-use crate::params::Params;
-use crate::plan::PlannerParams;
 use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
 use crate::sim::rig::{Rig, RigSetup};
@@ -18,7 +16,7 @@ use crate::sim::world::World;
 use crate::wire::can::Layout;
 
 /// Side of a cell of a maze, metres; a map file brings its own.
-const MAZE_RESOLUTION_M: f64 = 0.1;
+const MAZE_RESOLUTION_M: f64 = crate::sim::maze::RESOLUTION_M;
 /// Simulated time between two looks at the progress, seconds.
 const PROGRESS_PERIOD_S: f64 = 0.1;
 
@@ -121,8 +119,8 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
         world: place.world,
         start: place.start,
         goal: Some(place.goal),
-        core: core_params(params),
-        planner: planner_params(params),
+        core: params.core(),
+        planner: params.planner(),
         predict: params.predict.clone(),
         bus: params.bus.clone(),
         lidar: params.lidar.clone(),
@@ -138,34 +136,8 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
     }
 }
 
-fn core_params(params: &Params) -> CoreParams {
-    CoreParams {
-        vehicle: params.vehicle.clone(),
-        autopilot: params.autopilot.clone(),
-        map: params.map.clone(),
-        control: params.control.clone(),
-        guard: params.guard.clone(),
-        certify: params.certify.clone(),
-        speed: params.speed.clone(),
-    }
-}
-
-fn planner_params(params: &Params) -> PlannerParams {
-    PlannerParams {
-        vehicle: params.vehicle.clone(),
-        plan: params.plan.clone(),
-        search: params.search.clone(),
-        manoeuvre: params.manoeuvre.clone(),
-        smooth: params.smooth.clone(),
-        speed: params.speed.clone(),
-        certify: params.certify.clone(),
-        foreseen: params.foreseen.clone(),
-        janson: params.janson.clone(),
-    }
-}
-
 /// Where solid and free touch, map frame.
-fn walls(world: &World) -> Vec<[Point; 2]> {
+pub(super) fn walls(world: &World) -> Vec<[Point; 2]> {
     let solid = |x: usize, y: usize| world.is_cell_solid(x as i64, y as i64);
     let (origin, resolution_m) = (world.origin(), world.resolution_m());
     outline(world.width(), world.height(), solid, |p| origin.to_map(p * resolution_m))

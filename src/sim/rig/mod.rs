@@ -165,6 +165,11 @@ impl Rig {
         self.album.as_ref()?.chosen(self.driven_s())
     }
 
+    /// What the planner foresaw at moments spread over the drive so far, in order.
+    pub fn snapshots(&self) -> &[Snapshot] {
+        self.album.as_ref().map_or(&[], Album::kept)
+    }
+
     /// Seconds since the first motion.
     fn driven_s(&self) -> f64 {
         self.started.map_or(0.0, |at| self.now.seconds_after(at))
