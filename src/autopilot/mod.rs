@@ -11,6 +11,7 @@ mod document;
 mod event;
 mod failsafe;
 mod mode;
+mod reconfigure;
 
 use std::collections::VecDeque;
 use std::sync::Arc;

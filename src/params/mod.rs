@@ -86,6 +86,7 @@ sections! {
     certify: crate::plan::certify::CertifyParams,
     control: crate::control::ControlParams,
     guard: crate::guard::GuardParams,
+    daemon: crate::shell::daemon::DaemonParams,
     car: crate::sim::car::CarParams,
     controller: crate::sim::controller::ControllerParams,
     lidar: crate::sim::lidar::LidarParams,
