@@ -17,7 +17,7 @@ from pathlib import Path
 
 import judge
 import scenario as scenarios
-from stage import Broken, Bus, Process, Recorder, Truth
+from stage import Broken, Bus, Hog, Process, Recorder, StoppedThread, Truth, call
 
 POLL_S = 0.01
 # The daemon has this long from its start until the car moves.
@@ -37,7 +37,10 @@ class Play:
         self.daemons = []
         # What was done when: the step's words, the car's time, its speed.
         self.done = []
-        self.foreign = 0
+        self.foreign_hz = 0.0
+        # What weighs on the computer, to be taken off again; a small disk that is mounted.
+        self.burdens = []
+        self.disk = None
 
     @property
     def daemon(self):
@@ -46,13 +49,17 @@ class Play:
     def start_car(self):
         s = self.scenario
         command = [self.binary, "car", "--can", self.bus.interface, "--truth", self.truth.path]
-        for key in ("maze", "family", "map"):
+        for key in ("maze", "family"):
             if key in s.world:
                 command += [f"--{key}", str(s.world[key])]
+        if "map" in s.world:
+            command += ["--map", scenarios.FOLDER / s.world["map"]]
         if "start" in s.world:
             command += ["--start=" + ",".join(map(str, s.world["start"]))]
         if "goal" in s.world:
             command += ["--goal=" + ",".join(map(str, s.world["goal"]))]
+        if s.car.get("stay"):
+            command += ["--stay"]
         if "script" in s.car:
             script = self.folder / "script.toml"
             script.write_text(s.car["script"])
@@ -80,9 +87,12 @@ class Play:
         command += ["--json"]
         number = len(self.daemons) + 1
         name = "daemon" if number == 1 else f"daemon-{number}"
-        state_folder = self.folder / "state"
-        state_folder.mkdir(exist_ok=True)
-        environment = {"STATE_DIRECTORY": str(state_folder)}
+        state = self.folder / "state"
+        state.mkdir(exist_ok=True)
+        if s.daemon.get("small_disk") and self.disk is None:
+            call("mount", "-t", "tmpfs", "-o", "size=32m", "tmpfs", str(state))
+            self.disk = state
+        environment = {"STATE_DIRECTORY": str(state)}
         self.daemons.append(Process(name, command, self.folder, environment))
 
     def act(self, step):
@@ -110,6 +120,16 @@ class Play:
             self.bus.netem(value)
         elif do == "flood":
             self.bus.flood(value)
+        elif do == "errors":
+            # Bus errors as a driver reports them: a protocol error, somewhere in the data.
+            self.bus.flood(value, ["20000008#0000000A00000000"])
+        elif do == "hog":
+            self.burdens.append(Hog(value))
+        elif do == "stop thread":
+            self.burdens.append(StoppedThread(self.daemon.child.pid, value))
+        elif do == "fill disk":
+            with open(self.disk / "filler", "wb") as file:
+                os.posix_fallocate(file.fileno(), 0, 31 << 20)
         elif do == "send":
             self.bus.send(value)
         elif do == "clock":
@@ -119,9 +139,14 @@ class Play:
                 "do": do if value is None else f"{do} {value}",
                 "t_s": state["t_s"] if state else 0.0,
                 "speed_mps": state["speed_mps"] if state else 0.0,
-                "turning_rad_s": self.truth.turning_rad_s,
+                "curvature_pm": state["curvature_pm"] if state else 0.0,
             }
         )
+
+    def struck_s(self):
+        """The car's time when the first thing happened, by a step or by its script."""
+        events = [event["t_s"] for event in self.truth.events if not event["over"]]
+        return min([step["t_s"] for step in self.done] + events, default=None)
 
     def wait_for_car(self):
         patience = time.monotonic() + 10.0
@@ -164,11 +189,14 @@ class Play:
 
     def clean_up(self):
         """Ends what runs; returns how the daemons and the car ended."""
-        self.foreign = self.bus.flooding.sent if self.bus.flooding else 0
-        self.bus.calm()
+        self.foreign_hz = self.bus.calm()
+        for burden in self.burdens:
+            burden.end()
         ends = [daemon.end() for daemon in self.daemons]
         if self.car:
             self.car.end(5.0)
+        if self.disk:
+            call("umount", str(self.disk))
         self.truth.read()
         return ends
 
@@ -212,6 +240,10 @@ def main():
         try:
             os.mkdir(folder)
         except FileExistsError:
+            continue
+        if scenario.guest and "HIL_GUEST" not in os.environ:
+            result = {"name": scenario.name, "skipped": "only in a guest, not on a real machine"}
+            (folder / "result.json").write_text(json.dumps(result) + "\n")
             continue
         result = run_one(scenario, bus, arguments.binary, folder)
         word = "ok    " if result["passed"] else "FAILED"

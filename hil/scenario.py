@@ -1,8 +1,9 @@
 """Scenario files: what is read from hil/scenarios/*.toml, checked key by key."""
 
+import fnmatch
 import re
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "scenarios"
@@ -19,8 +20,14 @@ ACTIONS = {
     "link down": None,
     "link up": None,
     "netem": str,
+    # Foreign frames a second; error frames a second; one frame in cansend's notation.
     "flood": int,
+    "errors": int,
     "send": str,
+    # Share of the processor taken away; name of a thread of the daemon that is held still.
+    "hog": float,
+    "stop thread": str,
+    # Seconds by which the machine's clock is set forward.
     "clock": float,
     "fill disk": None,
     "finish": None,
@@ -37,12 +44,12 @@ class Step:
 
     do: str
     value: object
-    # Speed reached (m/s), turning at least this fast (rad/s), time since the first motion (s), time
+    # Speed reached (m/s), curvature driven, to either side (1/m), time since the first motion (s), time
     # since the last step (s), at rest for so long (s).
     when: dict
 
 
-WHEN = {"speed_mps", "turning_rad_s", "moving_s", "after_s", "rest_s"}
+WHEN = {"speed_mps", "curvature_pm", "moving_s", "after_s", "rest_s"}
 
 
 @dataclass
@@ -57,15 +64,16 @@ class Scenario:
     steps: list
     expect: dict
     cost_s: float = 0.0
-    about: str = ""
-    needs: list = field(default_factory=list)
+    # Only in a guest of its own: the scenario does to the machine what one does to no other.
+    guest: bool = False
 
 
 EXPECT = {
     # How the drive ends by the car's own account: "goal", or "rest" for a car that came to rest.
     "end",
-    # Names of faults that the daemon must have raised, each with the longest time that its detection
-    # may take here, in seconds (ten times the limit of the failsafe table).
+    # Names of faults that the daemon must have raised, each with the longest time in seconds from the
+    # first thing that happened (a step, or an event of the car's script) until then: here ten times
+    # the limit of the failsafe table; `true` where nothing happens that it could be counted from.
     "faults",
     # Names of faults that it must not raise.
     "no_faults",
@@ -109,14 +117,15 @@ def step(table, where):
             break
     else:
         raise Mistake(f"{where}: unknown action {do!r}; known: {', '.join(ACTIONS)}")
-    unknown = set(table) - WHEN
-    if unknown:
-        raise Mistake(f"{where}: unknown {sorted(unknown)}; known: do, {', '.join(sorted(WHEN))}")
-    return Step(word, value, {key: float(table[key]) for key in table})
+    when = take(table, "when", dict, {}, where)
+    if table or set(when) - WHEN:
+        unknown = sorted(set(table) | set(when) - WHEN)
+        raise Mistake(f"{where}: unknown {unknown}; known: do, when, {', '.join(sorted(WHEN))}")
+    return Step(word, value, {key: float(when[key]) for key in when})
 
 
 def read(path):
-    """The scenario of one file."""
+    """The scenarios of one file: one, or one for each maze of a list."""
     where = path.name
     try:
         table = tomllib.loads(path.read_text())
@@ -135,7 +144,7 @@ def read(path):
     daemon = take(table, "daemon", dict, {}, where)
     for name, part, known in (
         ("world", world, {"maze", "family", "map", "start", "goal"}),
-        ("car", car, {"set", "script", "seed"}),
+        ("car", car, {"set", "script", "seed", "stay"}),
         ("daemon", daemon, {"set", "small_disk"}),
     ):
         if set(part) - known:
@@ -146,7 +155,7 @@ def read(path):
         speed_mps=take(table, "speed_mps", float, 3.0, where),
         limit_s=take(table, "limit_s", float, 60.0, where),
         cost_s=take(table, "cost_s", float, 10.0, where),
-        needs=take(table, "needs", list, [], where),
+        guest=take(table, "guest", bool, False, where),
         world=world,
         car=car,
         daemon=daemon,
@@ -158,19 +167,23 @@ def read(path):
     )
     if table:
         raise Mistake(f"{where}: unknown {sorted(table)}")
-    return scenario
+    if not isinstance(world.get("maze"), list):
+        return [scenario]
+    return [
+        replace(scenario, name=f"{path.stem}-{maze}", world={**world, "maze": maze})
+        for maze in world["maze"]
+    ]
 
 
 def all_of(names=()):
     """The scenarios with these names (a name may end in *), or every one there is."""
-    files = {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
-    chosen = list(files)
-    if names:
-        chosen = []
-        for name in names:
-            pattern = re.compile(re.escape(name).replace(r"\*", ".*") + r"\Z")
-            found = [stem for stem in files if pattern.match(stem)]
-            if not found:
-                raise Mistake(f"no scenario {name}; there are: {', '.join(files)}")
-            chosen += [stem for stem in found if stem not in chosen]
-    return [read(files[stem]) for stem in chosen]
+    every = [one for path in sorted(FOLDER.glob("*.toml")) for one in read(path)]
+    if not names:
+        return every
+    chosen = []
+    for name in names:
+        found = [one for one in every if fnmatch.fnmatchcase(one.name, name)]
+        if not found:
+            raise Mistake(f"no scenario {name}; there are: {', '.join(one.name for one in every)}")
+        chosen += [one for one in found if one not in chosen]
+    return chosen

@@ -1,16 +1,18 @@
 """What a scenario runs on: the interface, the two processes, the log of the bus."""
 
+import ctypes
 import json
-import math
 import os
 import shutil
 import signal
+import socket
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
 
-# An address that is none of ours; foreign frames of all kinds for a flood.
+# Frames of all kinds with identifiers that are none of ours, for a flood.
 FOREIGN = ["321#1122334455667788", "18FEF100#FFFF", "7E8##1001122334455667788AABBCC", "35A#R"]
 
 
@@ -48,36 +50,41 @@ class Bus:
         call(*base, "replace", "dev", self.interface, "root", "netem", *arguments.split())
 
     def send(self, frame):
-        call("cansend", self.interface, frame)
+        with self.socket() as socket:
+            socket.send(wire_form(frame))
 
-    def flood(self, rate_hz):
-        self.flooding = Flood(self.interface, rate_hz)
+    def flood(self, rate_hz, frames=FOREIGN):
+        self.flooding = Flood(self.socket(), rate_hz, frames)
+
+    def socket(self):
+        """For sending only."""
+        opened = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        opened.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        opened.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+        opened.bind((self.interface,))
+        return opened
 
     def calm(self):
-        """Ends whatever a scenario did to the bus; returns the foreign frames sent."""
-        sent = 0
+        """Ends whatever a scenario did to the bus; returns how many foreign frames a second it
+        sent."""
+        rate_hz = 0.0
         if self.flooding:
-            sent = self.flooding.end()
+            rate_hz = self.flooding.end()
             self.flooding = None
         if self.virtual:
             self.netem("off")
         self.link(True)
-        return sent
+        return rate_hz
 
 
 class Flood(threading.Thread):
-    """Foreign frames at a rate, evenly in bursts of 5 ms."""
+    """Frames of somebody else at a rate, evenly in bursts of 5 ms."""
 
-    def __init__(self, interface, rate_hz):
+    def __init__(self, opened, rate_hz, frames):
         super().__init__(daemon=True)
-        import socket
-
-        self.socket = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
-        self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
-        self.socket.bind((interface,))
+        self.socket = opened
         self.rate_hz = rate_hz
-        self.frames = [wire_form(frame) for frame in FOREIGN]
+        self.frames = [wire_form(frame) for frame in frames]
         self.sent = 0
         self.began = time.monotonic()
         self.ending = threading.Event()
@@ -98,14 +105,16 @@ class Flood(threading.Thread):
         self.ending.set()
         self.join()
         self.socket.close()
-        self.rate = self.sent / (time.monotonic() - self.began)
-        return self.sent
+        return round(self.sent / (time.monotonic() - self.began), 1)
 
 
 def wire_form(text):
-    """A frame in cansend's notation as the kernel's struct can_frame or canfd_frame."""
+    """A frame in cansend's notation as the kernel's struct can_frame or canfd_frame. Eight digits of
+    identifier: an extended one, or with 2 in front an error frame of the driver."""
     identifier, _, data = text.partition("#")
-    number = int(identifier, 16) | (0x80000000 if len(identifier) == 8 else 0)
+    number = int(identifier, 16)
+    if len(identifier) == 8 and not number & 0x20000000:
+        number |= 0x80000000
     if data.startswith("#"):
         data = bytes.fromhex(data[2:])
         return number.to_bytes(4, "little") + bytes([len(data), 1, 0, 0]) + data.ljust(64, b"\0")
@@ -125,7 +134,9 @@ class Truth:
         self.world = None
         self.end = None
         self.state = None
-        self.turning_rad_s = 0.0
+        # What of the script has happened, and the wall clock when the car's clock was at zero.
+        self.events = []
+        self.wall_zero_s = None
         # Car's time of the first motion, and since when it has been at rest.
         self.moving_since = None
         self.rest_since = None
@@ -152,7 +163,7 @@ class Truth:
         elif kind == "end":
             self.end = entry
         elif kind == "state":
-            before, self.state = self.state, entry
+            self.state = entry
             speed = abs(entry["speed_mps"])
             self.speed_max = max(self.speed_max, speed)
             if speed > 0.05 and self.moving_since is None:
@@ -161,9 +172,10 @@ class Truth:
                 self.rest_since = None
             elif self.rest_since is None:
                 self.rest_since = entry["t_s"]
-            if before and entry["t_s"] > before["t_s"]:
-                turned = math.remainder(entry["heading_rad"] - before["heading_rad"], math.tau)
-                self.turning_rad_s = turned / (entry["t_s"] - before["t_s"])
+            zero = time.time() - entry["t_s"]
+            self.wall_zero_s = zero if self.wall_zero_s is None else min(zero, self.wall_zero_s)
+        elif kind == "event":
+            self.events.append(entry)
 
     def holds(self, when, since):
         """Whether everything under `when` holds; `since`: the car's time of the last step."""
@@ -173,7 +185,7 @@ class Truth:
         now = state["t_s"]
         tests = {
             "speed_mps": lambda x: state["speed_mps"] >= x,
-            "turning_rad_s": lambda x: abs(self.turning_rad_s) >= x,
+            "curvature_pm": lambda x: abs(state["curvature_pm"]) >= x,
             "moving_s": lambda x: self.moving_since is not None and now - self.moving_since >= x,
             "after_s": lambda x: now - since >= x,
             "rest_s": lambda x: self.rest_since is not None
@@ -181,6 +193,56 @@ class Truth:
             and now - self.rest_since >= x,
         }
         return all(tests[name](value) for name, value in when.items())
+
+
+class Hog:
+    """Takes a share of the processor from everybody, at a real-time priority above the daemon's."""
+
+    PROGRAM = """
+import os, sys, time
+share, period = float(sys.argv[1]), 0.03
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(70))
+while True:
+    end = time.monotonic() + share * period
+    while time.monotonic() < end:
+        pass
+    time.sleep((1 - share) * period)
+"""
+
+    def __init__(self, share):
+        self.child = subprocess.Popen([sys.executable, "-c", self.PROGRAM, str(share)])
+
+    def end(self):
+        self.child.kill()
+        self.child.wait()
+
+
+class StoppedThread:
+    """One thread of a program held still by ptrace, as if it hung."""
+
+    SEIZE, INTERRUPT, DETACH = 0x4206, 0x4207, 17
+
+    def __init__(self, pid, name):
+        self.libc = ctypes.CDLL(None, use_errno=True)
+        tasks = Path(f"/proc/{pid}/task").iterdir()
+        named = {(task / "comm").read_text().strip(): int(task.name) for task in tasks}
+        if name not in named:
+            raise Broken(f"no thread {name}; there are {sorted(named)}")
+        self.tid = named[name]
+        self.trace(self.SEIZE)
+        self.trace(self.INTERRUPT)
+        os.waitpid(self.tid, 0x40000000)
+
+    def trace(self, request):
+        if self.libc.ptrace(request, self.tid, None, None):
+            raise Broken(f"ptrace: {os.strerror(ctypes.get_errno())}")
+
+    def end(self):
+        try:
+            self.trace(self.DETACH)
+        except Broken:
+            # The program has ended meanwhile.
+            pass
 
 
 class Process:

@@ -41,10 +41,11 @@ def cell(row, make):
 
 def main():
     out = Path(sys.argv[1])
-    results, missing = [], []
+    results, missing, skipped = [], [], []
     for one in scenarios.all_of(sys.argv[2:]):
         try:
-            results.append(json.loads((out / one.name / "result.json").read_text()))
+            result = json.loads((out / one.name / "result.json").read_text())
+            (skipped if "skipped" in result else results).append(result)
         except (OSError, ValueError):
             missing.append(one.name)
     print(" ".join(f"{title:{form}}" for title, form, _ in COLUMNS).rstrip())
@@ -54,13 +55,24 @@ def main():
             print("    " + str(failure).replace("\n", "\n    "))
     for name in missing:
         print(f"{name:26} FAILED\n    it was not played to its end")
+    for row in skipped:
+        print(f"{row['name']:26} not played: {row['skipped']}")
     print(LEGEND)
     failed = sum(not row["passed"] for row in results) + len(missing)
     passed = len(results) + len(missing) - failed
     (out / "results.json").write_text(
-        json.dumps({"passed": passed, "failed": failed, "scenarios": results}, indent=1) + "\n"
+        json.dumps(
+            {
+                "passed": passed,
+                "failed": failed,
+                "skipped": len(skipped),
+                "scenarios": results,
+            },
+            indent=1,
+        )
+        + "\n"
     )
-    print(f"\nHIL: {passed} passed, {failed} failed")
+    print(f"\nHIL: {passed} passed, {failed} failed, {len(skipped)} skipped")
     sys.exit(1 if failed or not passed else 0)
 
 

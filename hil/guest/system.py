@@ -103,7 +103,7 @@ class Drive:
             return self.truth.state and self.truth.state["speed_mps"] >= speed_mps
 
         wait(fast, f"the car drives {speed_mps} m/s", 40.0)
-        return {"t_s": self.truth.state["t_s"]}
+        return self.truth.state["t_s"]
 
     def follow(self, seconds):
         """Takes in the truth for a while."""
@@ -137,7 +137,7 @@ class Drive:
 
 def stopped_for_good(drive, struck):
     """The car stopped soon and stayed."""
-    found = judge.rest(drive.truth, [struck])
+    found = judge.rest(drive.truth, struck)
     check(found["stopped_t_s"] is not None, "the car is not at rest")
     check(found["stop_s"] < 1.5, f"at rest only after {found['stop_s']:.2f} s")
     check(found["crept_m"] < judge.CREEP_M, f"moved {found['crept_m']:.2f} m after its stop")
