@@ -35,19 +35,23 @@ class Bus:
         flags = int(Path(f"/sys/class/net/{interface}/flags").read_text(), 16)
         if not flags & 1:
             raise Broken(f"{interface} is down")
-        self.virtual = "vcan" in call("ip", "-details", "link", "show", "dev", interface)
         self.flooding = None
+        self.shaped = False
+        self.cut = False
 
     def link(self, up):
+        self.cut = not up
         call("ip", "link", "set", "dev", self.interface, "up" if up else "down")
 
     def netem(self, arguments):
         """Loss, delay or corruption by the kernel, for every frame of both sides."""
         base = ("tc", "qdisc")
-        if arguments == "off":
-            subprocess.run((*base, "del", "dev", self.interface, "root"), capture_output=True)
+        if self.shaped:
+            call(*base, "del", "dev", self.interface, "root")
+        self.shaped = arguments != "off"
+        if not self.shaped:
             return
-        call(*base, "replace", "dev", self.interface, "root", "netem", *arguments.split())
+        call(*base, "add", "dev", self.interface, "root", "netem", *arguments.split())
 
     def send(self, frame):
         with self.socket() as socket:
@@ -71,9 +75,9 @@ class Bus:
         if self.flooding:
             rate_hz = self.flooding.end()
             self.flooding = None
-        if self.virtual:
-            self.netem("off")
-        self.link(True)
+        self.netem("off")
+        if self.cut:
+            self.link(True)
         return rate_hz
 
 
