@@ -73,6 +73,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
             "guard",
             "autopilot",
             "sim",
+            "shell::daemon::DaemonParams",
         ],
     ),
     (

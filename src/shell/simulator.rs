@@ -158,7 +158,7 @@ fn remaining_m(rig: &Rig, goal: Point) -> f64 {
 }
 
 /// What the core has to say, for the log.
-fn log(event: &Event) {
+pub(super) fn log(event: &Event) {
     let seconds = |at: &crate::time::Instant| format!("{:.3}", at.as_secs_f64());
     match event {
         Event::ModeChanged { at, from, to } => {

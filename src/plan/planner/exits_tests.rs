@@ -79,7 +79,7 @@ fn shape(trajectory: &Trajectory) -> Vec<(Point, f64)> {
 fn propose(planner: &mut Planner, request: &PlanRequest) -> (Guide, u32) {
     planner.impasses.begin(request.goal.position);
     planner.tracks.follow(request);
-    planner.update_fields(request);
+    planner.update_fields(request, request.grid.bounds());
     let scene = crate::predict::Scene {
         grid: &request.grid,
         pose: request.scan_pose,
@@ -320,7 +320,7 @@ fn an_exit_that_cannot_be_reached_gives_no_way() {
     let start = Pose::new(START.0, START.1, 1.5);
     let request = request(grid, start, Point::new(4.0, 12.0));
     let mut planner = planner(Policy::Janson, Box::new(NoPrediction));
-    planner.update_fields(&request);
+    planner.update_fields(&request, request.grid.bounds());
     let here = planner.branches(&request)[0];
     let beyond = Aim::Through(CellIndex::new(40, 39));
     let found = planner.guide(&request, &here, beyond, &mut StepTimes::default());
