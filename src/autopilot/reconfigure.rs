@@ -10,7 +10,7 @@ impl Autopilot {
     /// take effect at the next start must be as before, those that wait for rest as before unless
     /// the car [is at rest](Self::is_at_rest).
     pub fn set_params(&mut self, params: CoreParams) {
-        self.tracker = Tracker::new(&params.vehicle, &params.control);
+        self.tracker = Tracker::new(&params.vehicle, &params.control, params.autopilot.tick_s());
         self.guard.set_params(&params.vehicle, &params.guard);
         if self.mode != Mode::Drive {
             // What comes back was made for another car.
@@ -22,8 +22,7 @@ impl Autopilot {
 
     /// Whether the car stands and is not about to drive.
     pub fn is_at_rest(&self, now: Instant) -> bool {
-        let standing =
-            self.state(now).is_none_or(|(_, speed)| speed.abs() < super::REST_SPEED_MPS);
+        let standing = self.state(now).is_none_or(|(_, speed)| speed.abs() < super::REST_SPEED_MPS);
         standing && self.mode != Mode::Drive
     }
 

@@ -90,10 +90,8 @@ pub fn run(
     if params.daemon.lock_memory {
         realtime::lock_memory();
     }
-    let planning = PlanningParams {
-        planner: planner_params(&params),
-        predict: params.predict.clone(),
-    };
+    let planning =
+        PlanningParams { planner: planner_params(&params), predict: params.predict.clone() };
     let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
         Ok(worker) => worker,
         Err(error) => {
@@ -138,7 +136,7 @@ pub fn run(
         config: args.config.clone(),
         state_directory,
         disk_free_min: keeper::disk_free_min(&params),
-        tick_rate_hz: tick_rate_hz(&params),
+        tick_rate_hz: params.autopilot.control_rate_hz,
     };
     let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
     let control = std::thread::Builder::new()
@@ -239,10 +237,6 @@ fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Opt
     let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
     let first = value.to_str()?.split(':').next()?;
     (!first.is_empty()).then(|| first.into())
-}
-
-fn tick_rate_hz(_params: &Params) -> f64 {
-    100.0
 }
 
 #[cfg(test)]
