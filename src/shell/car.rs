@@ -15,7 +15,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 
 use super::can::{CanLink, CanLinkError, LinkStatistics, Received, SendFault};
 use super::clock::{Alarm, Clock};
-use super::place::PlaceRequest;
+use super::place::{PlaceRequest, warn_of_load};
 use super::report::outcome_text;
 use super::shown;
 use super::sil::{RunError, input};
@@ -148,13 +148,14 @@ fn opening(error: CanLinkError) -> RunError {
 /// If the place, the script or the interface are not as they should be, or the truth cannot be
 /// written.
 pub fn drive(request: &CarRequest) -> Result<CarEnding, RunError> {
-    let setup = setup(request)?;
-    let place = (setup.start, setup.goal);
-    let mut solo = Solo::new(setup).map_err(input)?;
     let runtime = runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     runtime.block_on(async {
         // Before anything else: whoever ends the process from now on finds a whole file.
         let mut signals = Signals::new().map_err(failed)?;
+        let setup = setup(request)?;
+        warn_of_load(&request.params);
+        let place = (setup.start, setup.goal);
+        let mut solo = Solo::new(setup).map_err(input)?;
         let clock = Clock::start();
         let can = &request.params.can;
         let link = CanLink::open(&can.interface, can.layout, Sender::Car, &clock);

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use super::sil::{RunError, input};
 use crate::frames::{Point, Pose};
 use crate::mapfile;
+use crate::params::Params;
+use crate::sim::car_end::scan_load;
 use crate::sim::maze::{self, Family};
 use crate::sim::world::World;
 
@@ -82,5 +84,22 @@ impl PlaceRequest {
                 })
             }
         }
+    }
+}
+
+/// Above this share of the bus scans come late, and with them everything else that is not urgent.
+const SCAN_LOAD_MAX: f64 = 0.8;
+
+/// Says so if the lidar has more to say than the bus can carry.
+pub(super) fn warn_of_load(params: &Params) {
+    let load = scan_load(params.can.layout, &params.lidar, &params.bus);
+    if load > SCAN_LOAD_MAX {
+        let (beams, rate_hz) = (params.lidar.beams, params.lidar.rate_hz);
+        tracing::warn!(
+            "{rate_hz} scans a second of {beams} beams take {:.0} % of the bus in {} frames: lower \
+             lidar.beams or lidar.rate_hz (360 beams at 10 Hz fit classic frames)",
+            100.0 * load,
+            params.can.layout.name()
+        );
     }
 }

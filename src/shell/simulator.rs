@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use super::pace;
-use super::place::{MAZE_RESOLUTION_M, Place};
+use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
 use super::sil::{Progress, RunError, SilRequest, Simulator, input};
 use crate::autopilot::{Action, CoreParams, Event};
@@ -30,6 +30,7 @@ impl Simulator for RigSimulator {
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<DriveRecord, RunError> {
         let place = request.place.place()?;
+        warn_of_load(&request.params);
         let truth = walls(&place.world);
         let (start, goal) = (place.start, place.goal);
         let mut rig = Rig::new(setup(request, place)).map_err(input)?;

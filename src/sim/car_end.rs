@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
+use super::bus::{BusParams, FrameBits};
 use super::car::{Car, CarParams, CarState};
 use super::controller::{Controller, ControllerParams};
 use super::lidar::{BeamFan, Lidar, LidarParams};
@@ -275,10 +276,47 @@ impl CarEnd {
     }
 }
 
+/// Share of the bus that scans alone take: 1 is all of it.
+pub fn scan_load(layout: Layout, lidar: &LidarParams, bus: &BusParams) -> f64 {
+    let fan = BeamFan::new(lidar);
+    let scan = Scan {
+        stamp: Instant::ZERO,
+        sequence: 0,
+        angle_first_rad: fan.angle_first_rad(),
+        angle_step_rad: fan.angle_step_rad(),
+        range_max_m: fan.range_max_m(),
+        ranges_m: vec![1.0; fan.beams()],
+    };
+    let mut frames = Vec::new();
+    // A scan that cannot be encoded takes no time.
+    let _ = CarEncoder::new(layout, 0).encode_scan(CarTime::default(), &scan, &mut frames);
+    let time_s = |frame| FrameBits::of(frame).duration(bus).as_secs_f64();
+    frames.iter().map(time_s).sum::<f64>() * lidar.rate_hz
+}
+
 fn micros(at: Instant) -> u64 {
     at.as_nanos() / 1000 + CLOCK_AHEAD_US
 }
 
 fn own_clock(at: Instant) -> Instant {
     Instant::from_nanos(at.as_nanos() + CLOCK_AHEAD_US * 1000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_lidar_fits_an_fd_bus_and_a_small_one_a_classic_bus() {
+        let load = |layout, beams, rate_hz| {
+            let lidar = LidarParams { beams, rate_hz, ..LidarParams::default() };
+            scan_load(layout, &lidar, &BusParams::default())
+        };
+        let fd = load(Layout::Fd, 1080, 40.0);
+        assert!((0.15..0.4).contains(&fd), "{fd}");
+        assert!((load(Layout::Fd, 1080, 20.0) - 0.5 * fd).abs() < 1e-12);
+        let small = load(Layout::Classic, 360, 10.0);
+        assert!((0.1..0.5).contains(&small), "{small}");
+        assert!(load(Layout::Classic, 1080, 20.0) > 1.0);
+    }
 }
