@@ -317,6 +317,6 @@ mod tests {
         assert!((load(Layout::Fd, 1080, 20.0) - 0.5 * fd).abs() < 1e-12);
         let small = load(Layout::Classic, 360, 10.0);
         assert!((0.1..0.5).contains(&small), "{small}");
-        assert!(load(Layout::Classic, 1080, 20.0) > 1.0);
+        assert!(load(Layout::Classic, 1080, 20.0) > 0.8, "with odometry and tails, too much");
     }
 }
