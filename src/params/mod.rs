@@ -73,6 +73,7 @@ macro_rules! sections {
 
 sections! {
     vehicle: crate::vehicle::VehicleParams,
+    can: crate::wire::can::CanParams,
     autopilot: crate::autopilot::AutopilotParams,
     map: crate::map::MapParams,
     predict: crate::predict::PredictParams,

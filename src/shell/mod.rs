@@ -1,7 +1,9 @@
 //! The only part that knows clocks, files, terminals and threads: the command line, what a run
 //! shows while it lasts, and what it leaves behind.
 
+pub mod can;
 pub mod cli;
+pub mod clock;
 mod configuration;
 mod dataset;
 mod evaluate;
