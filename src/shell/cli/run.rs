@@ -66,7 +66,7 @@ pub struct RunArgs {
 
 impl RunArgs {
     /// The parameters that have options of their own, as far as they are given.
-    pub(super) fn flags(&self) -> Vec<Flag> {
+    pub(in crate::shell) fn flags(&self) -> Vec<Flag> {
         let interface = self.can.clone().map(Value::Text);
         let flag = |value| Flag { option: "--can", key: "can.interface", value };
         interface.map(flag).into_iter().collect()
