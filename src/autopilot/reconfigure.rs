@@ -1,7 +1,6 @@
 //! New parameters for a running core, and jobs that will never come back.
 
 use super::{Autopilot, CoreParams, Fault, Mode};
-use crate::command::CarStatus;
 use crate::control::Tracker;
 use crate::time::{Duration, Instant};
 
@@ -14,8 +13,7 @@ impl Autopilot {
         self.guard.set_params(&params.vehicle, &params.guard);
         if self.mode != Mode::Drive {
             // What comes back was made for another car.
-            self.in_flight = None;
-            self.job = None;
+            self.void_job();
         }
         self.params = params;
     }
@@ -28,8 +26,7 @@ impl Autopilot {
 
     /// A planning job that was asked for will never be answered.
     pub fn handle_job_lost(&mut self, now: Instant, number: u32) {
-        if self.in_flight == Some(number) {
-            self.in_flight = None;
+        if self.in_flight.take_if(|job| job.number == number).is_some() {
             self.raise(now, Fault::PlannerLate);
         }
     }
@@ -38,10 +35,5 @@ impl Autopilot {
     /// in motion.
     pub fn take_plan_ages(&mut self) -> impl Iterator<Item = Duration> + '_ {
         self.statistics.plan_ages.drain(..)
-    }
-
-    /// The newest word of the car's controller, and when it came.
-    pub const fn car_status(&self) -> Option<&(Instant, CarStatus)> {
-        self.inputs.status.as_ref()
     }
 }
