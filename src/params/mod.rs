@@ -89,6 +89,7 @@ sections! {
     controller: crate::sim::controller::ControllerParams,
     lidar: crate::sim::lidar::LidarParams,
     bus: crate::sim::bus::BusParams,
+    mavlink: crate::ground::MavlinkParams,
 }
 
 /// The row of `section.name`.

@@ -26,8 +26,8 @@ use super::CertifyParams;
 use super::clearance::{Surfaces, contact};
 use crate::frames::Pose;
 use crate::map::Grid;
-use crate::plan::path::at_distance;
 use crate::plan::PathPoint;
+use crate::plan::path::at_distance;
 use crate::vehicle::VehicleParams;
 
 /// What a stop pose must leave open.
