@@ -325,7 +325,7 @@ fn cantools_decodes_what_we_send() {
     };
     let mut chance = Chance(ChaCha8Rng::seed_from_u64(1));
     let mut requests = Vec::new();
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut car = CarEncoder::new(layout, 6);
         let mut daemon = Encoder::new(layout);
         for round in 0..60u32 {
@@ -426,7 +426,7 @@ fn we_decode_what_cantools_encodes() {
     };
     let now = Instant::from_nanos(1);
     let mut chance = Chance(ChaCha8Rng::seed_from_u64(2));
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let rounds = 40;
         let setpoints: Vec<ForceSetpoint> = (0..rounds).map(|_| chance.setpoint()).collect();
         let statuses: Vec<CarStatus> = (0..rounds).map(|_| chance.status()).collect();

@@ -74,6 +74,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
             "ground",
             "autopilot",
             "sim",
+            "shell::daemon::DaemonParams",
         ],
     ),
     (

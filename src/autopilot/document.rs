@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use super::AutopilotParams;
 use super::failsafe::{Action, Clears, TABLE};
 
 const HEAD: &str = "\
@@ -12,7 +13,7 @@ cleared. Written by the program's own tests from the table that the autopilot ac
 (`src/autopilot/failsafe.rs`); after a change, `APEXD_BLESS=1 cargo test failsafe` writes it anew.
 
 The first active row decides; rows that only report decide nothing. Detectors run at every control
-tick. Beneath all of this lies the committed plan, which ends at rest inside space that was seen to
+tick; the times hold for the default of `autopilot.control_rate_hz`. Beneath all of this lies the committed plan, which ends at rest inside space that was seen to
 be free, and beneath that the braking tail in the car's own controller, which is driven when
 setpoints stop coming.
 
@@ -23,8 +24,9 @@ pub fn markdown() -> String {
     let mut page = HEAD.to_owned();
     page += "| what | how it is noticed | within | what is done | what clears it |\n";
     page += "|---|---|---|---|---|\n";
+    let params = AutopilotParams::default();
     for row in TABLE {
-        let within_ms = row.within_s * 1e3;
+        let within_ms = row.within_s(&params) * 1e3;
         let (what, detection) = (row.fault.name(), row.detection);
         let (action, clears) = (action_text(row.action), clears_text(row.clears));
         writeln!(page, "| {what} | {detection} | {within_ms:.0} ms | {action} | {clears} |")

@@ -5,6 +5,8 @@
 //! rest in known free space whatever happens; [`Action::BrakeNow`] is for faults that take away
 //! the means of following it (the pose, the car's own word) or the belief in it.
 
+use super::AutopilotParams;
+
 /// Something that can go wrong while driving.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Fault {
@@ -63,12 +65,19 @@ pub struct Row {
     pub fault: Fault,
     /// How it is noticed, in words.
     pub detection: &'static str,
-    /// Longest time from the cause to the action, seconds.
-    pub within_s: f64,
+    /// Longest time from the cause to the first control tick that is due to act on it, seconds.
+    pub after_s: f64,
     /// What is done.
     pub action: Action,
     /// How it is cleared.
     pub clears: Clears,
+}
+
+impl Row {
+    /// Longest time from the cause to the action, seconds: detectors run at each control tick.
+    pub fn within_s(&self, params: &AutopilotParams) -> f64 {
+        self.after_s + params.tick_s()
+    }
 }
 
 /// No scan for this long means that the lidar or its frames are lost: three scans at 20 Hz.
@@ -83,92 +92,89 @@ pub const STATUS_TIMEOUT_S: f64 = 0.25;
 pub const PLAN_TIMEOUT_S: f64 = 0.5;
 /// Corrupt frames within one second that make the bus untrustworthy.
 pub const CORRUPT_FRAMES_PER_S: u32 = 100;
-/// The control period; every detector runs at each tick.
-pub const TICK_S: f64 = 0.01;
-
 /// The failsafe table, in order of precedence: the first active row decides.
 pub const TABLE: &[Row] = &[
     Row {
         fault: Fault::EmergencyStop,
         detection: "car status frame says that the button is pressed",
-        within_s: 0.05 + TICK_S,
+        after_s: 0.05,
         action: Action::BrakeNow,
         clears: Clears::ByArming,
     },
     Row {
         fault: Fault::SetpointLost,
         detection: "car status frame says that setpoints stopped coming",
-        within_s: 0.05 + TICK_S,
+        after_s: 0.05,
         action: Action::BrakeNow,
         clears: Clears::ByArming,
     },
     Row {
         fault: Fault::OdometryLate,
         detection: "newest odometry frame is too old",
-        within_s: ODOMETRY_TIMEOUT_S + TICK_S,
+        after_s: ODOMETRY_TIMEOUT_S,
         action: Action::BrakeNow,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::TrackingError,
         detection: "estimated pose is off the committed plan by more than the certified margin",
-        within_s: TICK_S,
+        after_s: 0.0,
         action: Action::BrakeNow,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::PathBlocked,
         detection: "a beam ended on the committed plan and no stop before it could be certified",
-        within_s: TICK_S,
+        after_s: 0.0,
         action: Action::BrakeNow,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::StatusLost,
         detection: "newest car status frame is too old",
-        within_s: STATUS_TIMEOUT_S + TICK_S,
+        after_s: STATUS_TIMEOUT_S,
         action: Action::BrakeNow,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::ScanLate,
         detection: "newest complete scan is too old",
-        within_s: SCAN_TIMEOUT_S + TICK_S,
+        after_s: SCAN_TIMEOUT_S,
         action: Action::FinishPlan,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::CorruptFrames,
         detection: "frames with a wrong CRC within one second",
-        within_s: 1.0 + TICK_S,
+        after_s: 1.0,
         action: Action::FinishPlan,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::GoalUnreachable,
         detection: "the search exhausted all space that is not occupied",
-        within_s: TICK_S,
+        after_s: 0.0,
         action: Action::FinishPlan,
         clears: Clears::ByNewGoal,
     },
     Row {
         fault: Fault::GuardStop,
         detection: "the guard overrode a setpoint",
-        within_s: TICK_S,
+        after_s: 0.0,
         action: Action::Report,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::PlannerLate,
         detection: "no plan was adopted although the goal is not reached",
-        within_s: PLAN_TIMEOUT_S + TICK_S,
+        after_s: PLAN_TIMEOUT_S,
         action: Action::Report,
         clears: Clears::ByItself,
     },
     Row {
         fault: Fault::NoPrediction,
         detection: "the network is missing, fails, is too slow, or its answers are no probabilities",
-        within_s: PLAN_TIMEOUT_S,
+        after_s: PLAN_TIMEOUT_S,
         action: Action::Report,
         clears: Clears::ByItself,
     },

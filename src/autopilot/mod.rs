@@ -10,7 +10,9 @@ mod committed;
 mod document;
 mod event;
 mod failsafe;
+mod health;
 mod mode;
+mod reconfigure;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -19,6 +21,7 @@ pub use committed::Committed;
 pub use document::markdown as failsafe_page;
 pub use event::{Command, Event, Refusal, Statistics};
 pub use failsafe::{Action, ActiveFaults, Clears, Fault, Row, TABLE};
+pub use health::{BusHealth, BusState, HostHealth};
 pub use mode::Mode;
 
 use crate::command::{CarStatus, ForceSetpoint};
@@ -39,12 +42,13 @@ use crate::wire::can::{
 };
 use failsafe::{
     CORRUPT_FRAMES_PER_S, ODOMETRY_TIMEOUT_S, PLAN_TIMEOUT_S, SCAN_TIMEOUT_S, STATUS_TIMEOUT_S,
-    TICK_S,
 };
 
 tunables! {
     /// The autopilot core.
     pub struct AutopilotParams in "autopilot" {
+        /// Setpoints a second; every detector of the failsafe table runs as often.
+        control_rate_hz: f64 = 100.0, restart, in 20.0..=1000.0, "Hz";
         /// Radius of the disc around a goal within which the car must come to rest.
         goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
         /// Time granted to a planning step: the new plan takes over this long after the request.
@@ -54,6 +58,13 @@ tunables! {
         /// Tracking error at which the car is stopped: along with pose and map errors it must stay
         /// within the certified margin.
         tracking_error_max_m: f64 = 0.04, at_rest, in 0.005..=0.5, "m";
+    }
+}
+
+impl AutopilotParams {
+    /// The control period, seconds.
+    pub fn tick_s(&self) -> f64 {
+        1.0 / self.control_rate_hz
     }
 }
 
@@ -125,11 +136,14 @@ struct Inputs {
     status: Option<(Instant, CarStatus)>,
     corrupt_at: VecDeque<Instant>,
     raw_scan: Option<Arc<Scan>>,
+    bus: Option<(Instant, BusHealth)>,
+    host: Option<(Instant, HostHealth)>,
 }
 
 impl Autopilot {
     /// A disarmed core for a car that stands at `start` (map frame).
     pub fn new(params: CoreParams, layout: Layout, start: Pose, now: Instant) -> Self {
+        let tick_s = params.autopilot.tick_s();
         let mut mapper = Mapper::new(&params.map);
         mapper.mark_footprint(start.position, params.vehicle.radius_m + params.certify.margin_m);
         Self {
@@ -142,8 +156,8 @@ impl Autopilot {
             clock: ClockMap::new(),
             localizer: Localizer::new(start),
             mapper,
-            tracker: Tracker::new(&params.vehicle, &params.control),
-            guard: Guard::new(&params.vehicle, &params.guard),
+            tracker: Tracker::new(&params.vehicle, &params.control, tick_s),
+            guard: Guard::new(&params.vehicle, &params.guard, tick_s),
             committed: Committed::standing(now, start),
             inputs: Inputs::default(),
             job: None,
@@ -327,6 +341,16 @@ impl Autopilot {
         }
     }
 
+    /// What the driver of the bus says about it; at every change, and now and then.
+    pub fn handle_bus_health(&mut self, now: Instant, health: BusHealth) {
+        self.inputs.bus = Some((now, health));
+    }
+
+    /// What the computer says about itself; at every change, and now and then.
+    pub fn handle_host_health(&mut self, now: Instant, health: HostHealth) {
+        self.inputs.host = Some((now, health));
+    }
+
     /// A person or a ground station wants something.
     ///
     /// # Errors
@@ -388,7 +412,7 @@ impl Autopilot {
         if now >= self.next_tick {
             // After a pause (a late caller) the ticks missed are not made up for.
             while self.next_tick <= now {
-                self.next_tick = self.next_tick.offset_by(TICK_S);
+                self.next_tick = self.next_tick.offset_by(self.params.autopilot.tick_s());
             }
             self.tick(now);
         }
@@ -483,8 +507,9 @@ impl Autopilot {
     /// between two ticks would find the car still accelerating until the next one, and a reversal of
     /// all the grip there is makes that 0.17 m/s, or at 8 m/s a stop 8 cm too late.
     fn tick_from(&self, at: Instant) -> Instant {
-        let ticks = (at.seconds_after(self.next_tick) / TICK_S - 1e-6).ceil().max(0.0);
-        self.next_tick.offset_by(ticks * TICK_S)
+        let tick_s = self.params.autopilot.tick_s();
+        let ticks = (at.seconds_after(self.next_tick) / tick_s - 1e-6).ceil().max(0.0);
+        self.next_tick.offset_by(ticks * tick_s)
     }
 
     /// The committed plan is a path with a speed for each place; its clock is ours to set. A car

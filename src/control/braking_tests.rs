@@ -125,7 +125,7 @@ fn cut_off(trajectory: &Trajectory, cut_s: f64) -> Cut {
     let (vehicle, params) = (VehicleParams::default(), ControlParams::default());
     let first = trajectory.points[0].path;
     let start = Pose { position: first.position, heading_rad: first.heading_rad };
-    let tracker = Tracker::new(&vehicle, &params);
+    let tracker = Tracker::new(&vehicle, &params, 0.01);
     let mut car = Car::new(&vehicle, &CarParams::default(), start);
     let mut controller = Controller::new(&vehicle, &ControllerParams::default());
     let mut localizer = Localizer::new(start);

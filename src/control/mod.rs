@@ -14,8 +14,6 @@ use crate::tunables;
 tunables! {
     /// How the trajectory is followed.
     pub struct ControlParams in "control" {
-        /// Time between setpoints; each one is made for the middle of its period.
-        period_s: f64 = 0.01, restart, in 0.001..=0.1, "s";
         /// Time from the calculation of a setpoint until the car acts on it.
         transport_delay_s: f64 = 0.001, at_rest, in 0.0..=0.1, "s";
         /// Time in which a lateral error is taken back (times the speed: a distance).

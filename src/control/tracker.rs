@@ -45,16 +45,19 @@ pub struct Tracking {
 #[derive(Clone, Debug)]
 pub struct Tracker {
     params: ControlParams,
+    period_s: f64,
     mass_kg: f64,
     accel_limit_mps2: f64,
     curvature_limit_pm: f64,
 }
 
 impl Tracker {
-    /// A tracker for a car.
-    pub fn new(vehicle: &VehicleParams, params: &ControlParams) -> Self {
+    /// A tracker for a car that gets a setpoint every `period_s` seconds; each one is made for the
+    /// middle of its period.
+    pub fn new(vehicle: &VehicleParams, params: &ControlParams, period_s: f64) -> Self {
         Self {
             params: params.clone(),
+            period_s,
             mass_kg: vehicle.mass_kg,
             accel_limit_mps2: vehicle.acceleration_limit_mps2(),
             curvature_limit_pm: vehicle.curvature_limit_pm(),
@@ -87,7 +90,7 @@ impl Tracker {
         };
 
         let start = t + p.transport_delay_s;
-        let end = start + p.period_s;
+        let end = start + self.period_s;
         let finished = end >= trajectory.duration_s();
         let to_go = trajectory.last().path.s_m - s_free;
         let setpoint = if finished && to_go <= p.stop_tolerance_m && speed_mps <= STANDING_MPS {
@@ -95,7 +98,7 @@ impl Tracker {
         } else {
             let feedforward = (trajectory.at_time(end).speed_mps
                 - trajectory.at_time(start).speed_mps)
-                / p.period_s;
+                / self.period_s;
             let accel = self.along(trajectory, feedforward, &error, s_free, speed_mps);
             let curvature = self.curvature(trajectory, &error, s_free, speed_mps, accel);
             self.forces(accel, curvature, speed_mps)
@@ -118,7 +121,7 @@ impl Tracker {
         let wished = feedforward - along / (tau * tau) - 2.0 * error.speed_mps / tau;
         // Catching up must not exceed the certified speed of the place: the faster one of here and
         // a few centimetres on (from which a car at rest can start).
-        let horizon = p.transport_delay_s + p.period_s;
+        let horizon = p.transport_delay_s + self.period_s;
         let next = s + speed * horizon;
         let limit = trajectory
             .at_distance(next)
@@ -140,9 +143,9 @@ impl Tracker {
         let p = &self.params;
         // The stretch that the setpoint will be held on, at least a centimetre long.
         let v0 = (speed + accel * p.transport_delay_s).max(0.0);
-        let v1 = (v0 + accel * p.period_s).max(0.0);
+        let v1 = (v0 + accel * self.period_s).max(0.0);
         let from = s + speed * p.transport_delay_s;
-        let length = (0.5 * (v0 + v1) * p.period_s).max(0.01);
+        let length = (0.5 * (v0 + v1) * self.period_s).max(0.01);
         let (a, b) =
             (trajectory.at_distance(from).path, trajectory.at_distance(from + length).path);
         let inside = b.s_m - a.s_m;
@@ -166,7 +169,7 @@ impl Tracker {
         let lateral_at = |accel: f64| {
             // Mean speed of the period, for which the lateral force is to give the curvature.
             let v0 = (speed + accel * p.transport_delay_s).max(0.0);
-            let v = 0.5 * (v0 + (v0 + accel * p.period_s).max(0.0));
+            let v = 0.5 * (v0 + (v0 + accel * self.period_s).max(0.0));
             (curvature * v * v).clamp(-grip, grip)
         };
         let room = |lateral: f64| (grip * grip - lateral * lateral).max(0.0).sqrt();

@@ -27,7 +27,7 @@ fn drive(trajectory: &Trajectory, offset: Pose, odometry_age_ms: u64) -> Worst {
         position: start.to_map(offset.position),
         heading_rad: start.heading_rad + offset.heading_rad,
     };
-    let tracker = Tracker::new(&vehicle, &ControlParams::default());
+    let tracker = Tracker::new(&vehicle, &ControlParams::default(), 0.01);
     let mut car = Car::new(&vehicle, &CarParams::default(), start);
     let mut localizer = Localizer::new(start);
     let mut waiting = std::collections::VecDeque::new();
@@ -113,7 +113,7 @@ fn a_car_that_starts_off_the_path_comes_back_to_it() {
 #[test]
 fn a_trajectory_at_rest_holds_the_car() {
     let vehicle = VehicleParams::default();
-    let tracker = Tracker::new(&vehicle, &ControlParams::default());
+    let tracker = Tracker::new(&vehicle, &ControlParams::default(), 0.01);
     let t = Trajectory::at_rest(Instant::ZERO, level());
     let step = tracker.track(&t, Instant::from_nanos(5_000_000_000), level(), 0.0);
     assert!(step.setpoint.longitudinal_n < 0.0 && step.setpoint.drive);
@@ -126,7 +126,7 @@ fn a_car_held_up_does_not_exceed_the_plans_speed_to_catch_up() {
     let t = trial::profile(&[0.0; 201], level(), Instant::ZERO, 1.0, 5.0);
     let vehicle = VehicleParams::default();
     let params = ControlParams::default();
-    let tracker = Tracker::new(&vehicle, &params);
+    let tracker = Tracker::new(&vehicle, &params, 0.01);
     let mut car = Car::new(&vehicle, &CarParams::default(), level());
     for tick in 150..900_u64 {
         let now = Instant::from_nanos(tick * 10_000_000);
@@ -151,7 +151,7 @@ proptest! {
         turn in -3.0..3.0f64, speed in 0.0..9.0f64,
     ) {
         let vehicle = VehicleParams::default();
-        let tracker = Tracker::new(&vehicle, &ControlParams::default());
+        let tracker = Tracker::new(&vehicle, &ControlParams::default(), 0.01);
         let t = trial::trajectory(seed, level(), Instant::from_nanos(10_000_000_000), 8.0, 6.0, ACCEL);
         let now = t.start.offset_by(share * t.duration_s());
         let at = t.at(now).path;

@@ -29,8 +29,8 @@ tunables! {
         scan_age_max_s: f64 = 0.2, at_rest, in 0.02..=2.0, "s";
         /// Free space kept about the car's disc.
         margin_m: f64 = 0.02, at_rest, in 0.005..=0.5, "m";
-        /// Time until the next setpoint has taken effect: a period and the way to the car.
-        reaction_s: f64 = 0.013, at_rest, in 0.0..=0.5, "s";
+        /// Time from making a setpoint until the car acts on it.
+        delay_s: f64 = 0.003, at_rest, in 0.0..=0.5, "s";
         /// Share of the tyres' grip that a stop counts on.
         grip_share: f64 = 0.95, at_rest, in 0.2..=1.0, "";
         /// After a stop the car moves on only if it could go this much further.
@@ -127,6 +127,7 @@ struct Escape {
 #[derive(Clone, Debug)]
 pub struct Guard {
     params: GuardParams,
+    period_s: f64,
     radius_m: f64,
     mass_kg: f64,
     accel_limit_mps2: f64,
@@ -142,10 +143,11 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// A guard that has seen nothing: it lets nothing move.
-    pub fn new(vehicle: &VehicleParams, params: &GuardParams) -> Self {
+    /// A guard that has seen nothing: it lets nothing move. It is asked every `period_s` seconds.
+    pub fn new(vehicle: &VehicleParams, params: &GuardParams, period_s: f64) -> Self {
         Self {
             params: params.clone(),
+            period_s,
             radius_m: vehicle.radius_m,
             mass_kg: vehicle.mass_kg,
             accel_limit_mps2: vehicle.acceleration_limit_mps2(),
@@ -158,6 +160,15 @@ impl Guard {
             stopping: None,
             counts: GuardCounts::default(),
         }
+    }
+
+    /// Takes new limits; what was seen and proved stays.
+    pub fn set_params(&mut self, vehicle: &VehicleParams, params: &GuardParams) {
+        self.params = params.clone();
+        self.radius_m = vehicle.radius_m;
+        self.mass_kg = vehicle.mass_kg;
+        self.accel_limit_mps2 = vehicle.acceleration_limit_mps2();
+        self.curvature_limit_pm = vehicle.curvature_limit_pm();
     }
 
     /// Takes up an odometry reading.
@@ -255,7 +266,9 @@ impl Guard {
         let grip = self.accel_limit_mps2 * p.grip_share;
 
         let accel = setpoint.longitudinal_n / self.mass_kg;
-        let moving_s = if accel < 0.0 { p.reaction_s.min(speed / -accel) } else { p.reaction_s };
+        // Until the next setpoint has taken effect.
+        let reaction_s = self.period_s + p.delay_s;
+        let moving_s = if accel < 0.0 { reaction_s.min(speed / -accel) } else { reaction_s };
         let after = (speed + accel * moving_s).max(0.0);
         let reaction = (speed + 0.5 * accel * moving_s) * moving_s + extra;
 
@@ -312,7 +325,7 @@ impl Guard {
             };
         }
         // The lateral force for the speed in the middle of the period.
-        let slower = (speed - 0.5 * grip * 0.01).max(0.0);
+        let slower = (speed - 0.5 * grip * self.period_s).max(0.0);
         let lateral = (curvature * slower * slower).clamp(-grip, grip);
         ForceSetpoint {
             longitudinal_n: -self.mass_kg * (grip * grip - lateral * lateral).max(0.0).sqrt(),

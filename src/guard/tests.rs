@@ -90,7 +90,7 @@ impl Loop {
             walls,
             car: Car::new(&vehicle, &CarParams::default(), start).with_speed(speed),
             controller: Controller::new(&vehicle, &ControllerParams::default()),
-            guard: Guard::new(&vehicle, &GuardParams::default()),
+            guard: Guard::new(&vehicle, &GuardParams::default(), 0.01),
             localizer: Localizer::new(start),
             ms: 0,
             scan_period_ms,
@@ -266,7 +266,7 @@ fn planned(
     let first = trajectory.points[0].path;
     let start = Pose { position: first.position, heading_rad: first.heading_rad };
     let mut drive = Loop::new(walls, start, 0.0, scan_period_ms);
-    let tracker = Tracker::new(&vehicle, &params);
+    let tracker = Tracker::new(&vehicle, &params, 0.01);
     let begin = trajectory.start.seconds_after(drive.now());
     for _ in 0..((begin + trajectory.duration_s()) * 1e3) as u64 + 500 {
         at_ms(&mut drive);
@@ -342,7 +342,7 @@ fn cost_of_a_period_and_of_a_scan() {
         let middle = t.at_distance(5.0);
         let now = t.start.offset_by(middle.t_s);
         let pose = Pose { position: middle.path.position, heading_rad: middle.path.heading_rad };
-        let mut guard = Guard::new(&vehicle, &GuardParams::default());
+        let mut guard = Guard::new(&vehicle, &GuardParams::default(), 0.01);
         let reading = Odometry {
             turned_rad: pose.heading_rad,
             yaw_rate_rps: middle.speed_mps * bend,
@@ -357,7 +357,7 @@ fn cost_of_a_period_and_of_a_scan() {
         }
         let scan_us = begin.elapsed().as_secs_f64() * 1e3;
         guard.handle_tail(&braking_tail(1, &t, &reading, pose, &vehicle, &params)).unwrap();
-        let tracker = Tracker::new(&vehicle, &params);
+        let tracker = Tracker::new(&vehicle, &params, 0.01);
         let set = tracker.track(&t, now, pose, middle.speed_mps).setpoint;
         let begin = std::time::Instant::now();
         for _ in 0..1000 {
@@ -385,7 +385,7 @@ fn open_space(now: Instant) -> Scan {
 
 fn ready(speed: f64) -> (Guard, Instant) {
     let now = Instant::from_nanos(5_000_000_000);
-    let mut guard = Guard::new(&VehicleParams::default(), &GuardParams::default());
+    let mut guard = Guard::new(&VehicleParams::default(), &GuardParams::default(), 0.01);
     guard.handle_odometry(&odometry(now, speed));
     guard.handle_scan(&open_space(now));
     (guard, now)
@@ -413,7 +413,7 @@ fn old_inputs_stop_the_car() {
 
 #[test]
 fn without_any_scan_or_odometry_nothing_moves() {
-    let mut guard = Guard::new(&VehicleParams::default(), &GuardParams::default());
+    let mut guard = Guard::new(&VehicleParams::default(), &GuardParams::default(), 0.01);
     let now = Instant::from_nanos(1);
     assert_eq!(guard.check(now, gentle()).intervened, Some(Reason::OdometryStale));
     guard.handle_odometry(&odometry(now, 0.0));

@@ -73,6 +73,7 @@ macro_rules! sections {
 
 sections! {
     vehicle: crate::vehicle::VehicleParams,
+    can: crate::wire::can::CanParams,
     autopilot: crate::autopilot::AutopilotParams,
     map: crate::map::MapParams,
     predict: crate::predict::PredictParams,
@@ -85,6 +86,7 @@ sections! {
     certify: crate::plan::certify::CertifyParams,
     control: crate::control::ControlParams,
     guard: crate::guard::GuardParams,
+    daemon: crate::shell::daemon::DaemonParams,
     car: crate::sim::car::CarParams,
     controller: crate::sim::controller::ControllerParams,
     lidar: crate::sim::lidar::LidarParams,

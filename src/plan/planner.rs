@@ -26,7 +26,7 @@ use super::smooth::{SmoothParams, SmoothRequest, Smoother};
 use super::speed::{End, SpeedLimits, SpeedParams, SpeedProfiler, SpeedTask};
 use super::{Path, PathPoint, Trajectory};
 use crate::frames::{Point, Pose};
-use crate::map::{Blocking, Clearance, DistanceField, FrontierFinder, Grid};
+use crate::map::{Blocking, CellRect, Clearance, DistanceField, FrontierFinder, Grid};
 use crate::predict::{OccupancyView, Predictor, Scene, Supervised};
 use crate::time::Duration;
 use crate::vehicle::VehicleParams;
@@ -153,6 +153,10 @@ impl Planning for Planner {
         self.answer(request)
     }
 
+    fn set_params(&mut self, params: &PlannerParams) {
+        self.params = params.clone();
+    }
+
     fn view(&mut self) -> Option<Box<dyn OccupancyView + '_>> {
         Some(Box::new(self.predictor.view(&self.clock)))
     }
@@ -219,13 +223,16 @@ impl Planner {
         let mut lap = Lap::new(&self.clock);
         self.impasses.begin(request.goal.position);
         self.tracks.follow(request);
-        self.update_fields(request);
+        // A planner that is new to a drive under way has seen nothing of the map yet.
+        let changed = if self.first { request.grid.bounds() } else { request.changed };
+        self.first = false;
+        self.update_fields(request, changed);
         times.field = lap.take(&self.clock);
         let scene = Scene {
             grid: &request.grid,
             pose: request.scan_pose,
             goal: request.goal.position,
-            changed: request.changed,
+            changed,
         };
         self.predictor.observe(&scene, &self.clock);
 
@@ -341,9 +348,7 @@ impl Planner {
         Verdict::Rejected(rejection)
     }
 
-    fn update_fields(&mut self, request: &PlanRequest) {
-        let changed = if self.first { request.grid.bounds() } else { request.changed };
-        self.first = false;
+    fn update_fields(&mut self, request: &PlanRequest, changed: CellRect) {
         self.foreseen.begin(changed);
         self.occupied.update(&request.grid, changed);
         self.blocked.update(&request.grid, changed);

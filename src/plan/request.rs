@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::certify::Violation;
-use super::{Path, Trajectory};
+use super::{Path, PlannerParams, Trajectory};
 use crate::frames::{Point, Pose};
 use crate::map::{CellRect, Grid};
 use crate::predict::{OccupancyView, PredictReport};
@@ -136,6 +136,9 @@ pub struct StepReport {
 pub trait Planning: Send {
     /// Answers one request.
     fn step(&mut self, request: &PlanRequest) -> StepReport;
+
+    /// Takes new parameters, in force from the next step on.
+    fn set_params(&mut self, _params: &PlannerParams) {}
 
     /// What the newest step knew of the unknown, to be shown; `None` if there is nothing to show.
     fn view(&mut self) -> Option<Box<dyn OccupancyView + '_>> {

@@ -1,8 +1,11 @@
 //! The only part that knows clocks, files, terminals and threads: the command line, what a run
 //! shows while it lasts, and what it leaves behind.
 
+pub mod can;
 pub mod cli;
+pub mod clock;
 mod configuration;
+pub mod daemon;
 mod dataset;
 mod evaluate;
 mod folder;
@@ -50,6 +53,10 @@ impl From<Exit> for ExitCode {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let environment: Vec<(OsString, OsString)> = std::env::vars_os().collect();
+    // The daemon has a log of its own.
+    if let Command::Run(args) = &cli.command {
+        return daemon::run(args, &environment, cli.verbose, &mut std::io::stdout()).into();
+    }
     let terminal = Terminal::new(cli.verbose);
     execute(&cli, &environment, &RigSimulator, &terminal, &mut std::io::stdout()).into()
 }
@@ -64,6 +71,7 @@ fn execute(
 ) -> Exit {
     match &cli.command {
         Command::Sil(args) => drive(args, environment, simulator, terminal, out),
+        Command::Run(args) => daemon::run(args, environment, cli.verbose, out),
         Command::Maze(args) => maze(args, simulator, out),
         Command::Dataset(args) => dataset::run(args, terminal, out),
         Command::Evaluate(args) => evaluate::run(args, terminal, out),

@@ -138,7 +138,8 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
     }
 }
 
-fn core_params(params: &Params) -> CoreParams {
+/// The core's parameters.
+pub(super) fn core_params(params: &Params) -> CoreParams {
     CoreParams {
         vehicle: params.vehicle.clone(),
         autopilot: params.autopilot.clone(),
@@ -150,7 +151,8 @@ fn core_params(params: &Params) -> CoreParams {
     }
 }
 
-fn planner_params(params: &Params) -> PlannerParams {
+/// The planner's parameters.
+pub(super) fn planner_params(params: &Params) -> PlannerParams {
     PlannerParams {
         vehicle: params.vehicle.clone(),
         plan: params.plan.clone(),
@@ -185,7 +187,7 @@ fn remaining_m(rig: &Rig, goal: Point) -> f64 {
 }
 
 /// What the core has to say, for the log.
-fn log(event: &Event) {
+pub(super) fn log(event: &Event) {
     let seconds = |at: &crate::time::Instant| format!("{:.3}", at.as_secs_f64());
     match event {
         Event::ModeChanged { at, from, to } => {

@@ -465,7 +465,7 @@ mod tests {
     /// Whatever the bus does, a scan that comes out is one that went in.
     #[test]
     fn scans_over_a_bad_bus_are_right_or_missing() {
-        for layout in Layout::ALL {
+        for &layout in Layout::ALL {
             let plan = plan(vec![
                 fault(Harm::Loss, 2e-3),
                 fault(Harm::Flip { bits: 1 }, 2e-3),

@@ -124,7 +124,7 @@ pub fn protection(layout: Layout) -> [Signal; 2] {
 pub fn messages() -> Vec<Message> {
     let mut messages: Vec<Message> = Kind::ALL
         .into_iter()
-        .flat_map(|kind| Layout::ALL.map(|layout| message(kind, layout)))
+        .flat_map(|kind| Layout::ALL.iter().map(move |layout| message(kind, *layout)))
         .collect();
     messages.sort_by_key(|message| message.id);
     messages

@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_stream_in_step_loses_nothing_for_several_turns_of_the_counter() {
-        for layout in Layout::ALL {
+        for &layout in Layout::ALL {
             let (mut tx, mut rx) = pair(layout);
             for _ in 0..600 {
                 let mut data = [7; 8];
@@ -194,7 +194,7 @@ mod tests {
 
     #[test]
     fn losses_are_counted_and_old_frames_dropped() {
-        for layout in Layout::ALL {
+        for &layout in Layout::ALL {
             let (mut tx, mut rx) = pair(layout);
             let frames: Vec<[u8; 8]> = (0..12)
                 .map(|_| {
@@ -213,7 +213,7 @@ mod tests {
 
     #[test]
     fn a_frame_under_another_data_id_is_refused() {
-        for layout in Layout::ALL {
+        for &layout in Layout::ALL {
             let (mut tx, _) = pair(layout);
             let mut data = [1, 2, 3, 4, 5, 6, 7, 8];
             tx.protect(&mut data);
@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn every_error_of_one_or_two_bits_is_refused() {
-        for layout in Layout::ALL {
+        for &layout in Layout::ALL {
             let (mut tx, rx) = pair(layout);
             let mut data = [0x5A, 0x31, 0x12, 0x99, 0xFF, 0x00, 0x77, 0x18];
             tx.protect(&mut data);

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::choices;
+
 /// A CAN identifier: 11 bits (standard) or 29 bits (extended).
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct CanId(u32);
@@ -105,19 +107,17 @@ impl fmt::Debug for CanFrame {
     }
 }
 
-/// Which family of frames a car speaks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Layout {
-    /// Classic CAN, 8 bytes, AUTOSAR end-to-end profile 11.
-    Classic,
-    /// CAN FD, up to 64 bytes, AUTOSAR end-to-end profile 5.
-    Fd,
+choices! {
+    /// Which family of frames a car speaks.
+    pub enum Layout {
+        /// Classic CAN, 8 bytes, AUTOSAR end-to-end profile 11.
+        Classic = "classic",
+        /// CAN FD, up to 64 bytes, AUTOSAR end-to-end profile 5.
+        Fd = "fd",
+    }
 }
 
 impl Layout {
-    /// Both.
-    pub const ALL: [Self; 2] = [Self::Classic, Self::Fd];
-
     /// 0 or 1.
     pub(super) const fn index(self) -> usize {
         match self {

@@ -28,6 +28,7 @@ mod tail;
 use crate::command::{BrakingTail, CarStatus, ForceSetpoint};
 use crate::scan::{Odometry, Scan};
 use crate::time::Instant;
+use crate::tunables;
 
 pub use car::{CarDecoder, CarEncoder};
 pub use daemon::{Decoder, Encoder};
@@ -35,6 +36,16 @@ pub use database::{INTERFACE_VERSION, Message, Sender, messages, protection};
 pub use dbc::{database_text, frame_tables};
 pub use frame::{CanFrame, CanId, DATA_MAX, Layout};
 pub use signal::{Multiplex, Signal};
+
+tunables! {
+    /// The CAN interface between the daemon and the car.
+    pub struct CanParams in "can" {
+        /// Network interface, as `ip link` shows it.
+        interface: String = "can0", restart;
+        /// Which family of frames is spoken: `fd` (CAN FD, up to 64 bytes) or `classic` (8 bytes).
+        layout: Layout = Layout::Fd, restart, one of;
+    }
+}
 
 /// Most beams in a scan.
 pub const BEAMS_MAX: usize = 4096;

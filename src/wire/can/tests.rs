@@ -71,7 +71,7 @@ fn same_scan(sent: &Scan, received: &CarScan) {
 
 #[test]
 fn scans_of_all_sizes_arrive() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut encoder = CarEncoder::new(layout, 3);
         let mut decoder = Decoder::new(layout);
         for (sequence, beams) in [1, 2, 3, 27, 28, 29, 33, 360, 1080, 4096].into_iter().enumerate()
@@ -92,7 +92,7 @@ fn scans_of_all_sizes_arrive() {
 
 #[test]
 fn a_full_circle_is_still_one_after_the_bus() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut frames = Vec::new();
         CarEncoder::new(layout, 0)
             .encode_scan(CarTime::default(), &scan(1080, 0), &mut frames)
@@ -146,7 +146,7 @@ fn a_scan_that_lost_any_run_of_frames_is_dropped_whole() {
 
 #[test]
 fn a_repeated_frame_does_no_harm() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut frames = Vec::new();
         CarEncoder::new(layout, 0)
             .encode_scan(CarTime::default(), &scan(360, 0), &mut frames)
@@ -160,7 +160,7 @@ fn a_repeated_frame_does_no_harm() {
 
 #[test]
 fn swapped_frames_of_a_scan_drop_it() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut frames = Vec::new();
         CarEncoder::new(layout, 0)
             .encode_scan(CarTime::default(), &scan(360, 0), &mut frames)
@@ -175,7 +175,7 @@ fn swapped_frames_of_a_scan_drop_it() {
 
 #[test]
 fn a_scan_that_takes_too_long_is_dropped() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut encoder = CarEncoder::new(layout, 0);
         let mut decoder = Decoder::new(layout);
         let mut frames = Vec::new();
@@ -204,7 +204,7 @@ fn motion(time: CarTime, travelled_m: f64, turned_rad: f64) -> CarOdometry {
 /// Dead reckoning over 100 m of bends from what arrives, against the exact totals.
 #[test]
 fn dead_reckoning_over_the_bus_drifts_by_less_than_two_millimetres_in_a_hundred_metres() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut encoder = CarEncoder::new(layout, 0);
         let mut decoder = Decoder::new(layout);
         let mut exact = crate::frames::Pose::new(0.0, 0.0, 0.0);
@@ -249,7 +249,7 @@ fn wheels_and_steering_give_the_odometry_back() {
         steering_curvature_pm: 0.5,
     };
     let sent = CarOdometry::from_odometry(CarTime::from_micros(5), &odometry, 0.26, 0.2);
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut frames = Vec::new();
         CarEncoder::new(layout, 0).encode_odometry(&sent, &mut frames).unwrap();
         let messages = feed(&mut Decoder::new(layout), &frames);
@@ -287,7 +287,7 @@ fn parts_of_different_measurements_are_never_mixed() {
 /// The first frame after a restart may be taken for a repeated one, the second never.
 #[test]
 fn a_restart_of_the_controller_begins_a_new_epoch() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut decoder = Decoder::new(layout);
         for (epoch, boot) in [255, 0, 1].into_iter().enumerate() {
             let mut encoder = CarEncoder::new(layout, boot);
@@ -321,7 +321,7 @@ fn a_restart_of_the_controller_begins_a_new_epoch() {
 
 #[test]
 fn status_and_heartbeats_arrive() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut encoder = CarEncoder::new(layout, 200);
         let mut decoder = Decoder::new(layout);
         for (tail_plan, age) in [(None, f64::INFINITY), (Some(65_535), 0.012)] {
@@ -352,7 +352,7 @@ fn status_and_heartbeats_arrive() {
 
 #[test]
 fn setpoints_arrive_within_half_a_count_and_saturate_beyond() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut encoder = Encoder::new(layout);
         let mut car = CarDecoder::new(layout);
         let sent = ForceSetpoint {
@@ -413,7 +413,7 @@ fn tails_of_all_sizes_arrive_and_never_allow_more_speed_than_was_sent() {
 
 #[test]
 fn a_tail_with_a_frame_missing_is_no_tail() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut encoder = Encoder::new(layout);
         let mut frames = Vec::new();
         encoder.encode_tail(&tail(40), &mut frames).unwrap();
@@ -427,7 +427,7 @@ fn a_tail_with_a_frame_missing_is_no_tail() {
 
 #[test]
 fn what_cannot_be_sent_is_refused_and_leaves_no_frames() {
-    for layout in Layout::ALL {
+    for &layout in Layout::ALL {
         let mut encoder = Encoder::new(layout);
         let mut frames = Vec::new();
         let mut moving = tail(5);
@@ -505,7 +505,7 @@ proptest! {
         sealed: bool,
     ) {
         let mut now = NOW;
-        for layout in Layout::ALL {
+        for &layout in Layout::ALL {
             let mut daemon = Decoder::new(layout);
             let mut car = CarDecoder::new(layout);
             let mut protectors = database::Kind::ALL
@@ -542,7 +542,7 @@ proptest! {
     fn flipped_bits_never_change_a_message(
         pick: prop::sample::Index, first in 0usize..512, second in 0usize..512,
     ) {
-        for layout in Layout::ALL {
+        for &layout in Layout::ALL {
             let frames = one_of_each(layout);
             let intact = (
                 feed(&mut Decoder::new(layout), &frames),

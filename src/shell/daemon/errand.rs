@@ -1,0 +1,85 @@
+//! A goal given at the start: arms the car as soon as the checks pass, and sends it there.
+
+use crate::autopilot::{Autopilot, Command, Refusal};
+use crate::frames::Point;
+use crate::time::Instant;
+
+/// How far the errand has come.
+#[derive(Clone, Debug, PartialEq)]
+enum State {
+    /// Disarmed, and nobody has asked for anything else.
+    Idle { after_crash: bool },
+    /// As soon as the checks pass.
+    Waiting { goal: Point, said: Option<Refusal> },
+    /// Under way, done, or somebody else has taken over.
+    Over,
+}
+
+/// What there is to say after a step.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Step {
+    /// Nothing new.
+    Nothing,
+    /// A line for the log.
+    Said(String),
+}
+
+/// A goal given at the start.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Errand {
+    state: State,
+    announced: bool,
+}
+
+impl Errand {
+    /// An errand, or none. After a crash the car waits to be armed by somebody, whatever the goal:
+    /// nobody knows what has happened.
+    pub fn new(goal: Option<Point>, after_crash: bool) -> Self {
+        let state = match goal {
+            Some(goal) if !after_crash => State::Waiting { goal, said: None },
+            _ => State::Idle { after_crash },
+        };
+        Self { state, announced: false }
+    }
+
+    /// Why the car is not armed, as long as nothing has happened to it.
+    pub fn why_disarmed(&self) -> Option<&'static str> {
+        match self.state {
+            State::Idle { after_crash: true } => Some("previous run ended unexpectedly; disarmed"),
+            State::Idle { after_crash: false } => Some("waiting for a command to arm"),
+            State::Waiting { .. } | State::Over => None,
+        }
+    }
+
+    /// Somebody else gives commands.
+    pub fn overrule(&mut self) {
+        self.state = State::Over;
+    }
+
+    /// Does what can be done now.
+    pub fn step(&mut self, core: &mut Autopilot, now: Instant) -> Step {
+        let State::Waiting { goal, said } = &mut self.state else {
+            let announced = std::mem::replace(&mut self.announced, true);
+            return match self.why_disarmed().filter(|_| !announced) {
+                Some(why) => Step::Said(why.to_owned()),
+                None => Step::Nothing,
+            };
+        };
+        let goal = *goal;
+        let started = core
+            .handle_command(now, Command::Arm)
+            .and_then(|()| core.handle_command(now, Command::Goto(goal)));
+        match started {
+            Ok(()) => {
+                self.state = State::Over;
+                Step::Said(format!("armed; driving to ({:.2}, {:.2}) m", goal.x, goal.y))
+            }
+            Err(refusal) if said.as_ref() == Some(&refusal) => Step::Nothing,
+            Err(refusal) => {
+                let text = format!("waiting to arm: {refusal}");
+                *said = Some(refusal);
+                Step::Said(text)
+            }
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! `apexd run`: the daemon. A control thread owns core and bus, a planning thread plans, this one
+//! keeps house.
+
+mod change;
+mod control;
+mod errand;
+mod histogram;
+mod keeper;
+mod link;
+mod log;
+mod marker;
+mod params;
+mod realtime;
+mod seam;
+mod statistics;
+mod timing;
+mod worker;
+
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use tokio::runtime;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::mpsc;
+
+pub use change::ChangeRefusal;
+pub use params::DaemonParams;
+pub use seam::{CommandRefusal, CoreSnapshot, Request, Seam};
+
+use super::can::CanLinkError;
+use super::cli::RunArgs;
+use super::clock::Clock;
+use super::simulator::{core_params, planner_params};
+use super::{Exit, complain, configuration, say};
+use crate::autopilot::Autopilot;
+use crate::frames::Pose;
+use crate::params::{Origin, Params};
+use crate::plan::Policy;
+use control::{Control, Order, Outside, Pulse, Task, Word};
+use keeper::Keeper;
+use link::SocketLink;
+use log::Log;
+use marker::Marker;
+use statistics::Summary;
+use timing::MonotonicTiming;
+use worker::{PlanningParams, ThreadWorker};
+
+/// Orders that may wait.
+const ORDERS_MAX: usize = 16;
+
+/// Why the daemon did not begin.
+#[derive(Debug, thiserror::Error)]
+enum StartError {
+    #[error(transparent)]
+    Link(#[from] CanLinkError),
+    #[error("cannot set up the control thread: {0}")]
+    System(#[from] std::io::Error),
+}
+
+/// Runs the daemon to its end.
+pub fn run(
+    args: &RunArgs,
+    environment: &[(OsString, OsString)],
+    verbose: u8,
+    out: &mut dyn Write,
+) -> Exit {
+    let log = Log::new(verbose);
+    let layers = (args.config.clone(), environment.to_vec(), args.set.clone(), args.flags());
+    let load = move || {
+        let (file, environment, set, flags) = &layers;
+        configuration::load(file.as_deref(), environment, set, flags)
+    };
+    let params = match load() {
+        Ok(params) => params,
+        Err(faults) if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) => {
+            complain(&faults.to_string());
+            return Exit::Usage;
+        }
+        Err(faults) => {
+            complain(&format!("bad configuration\n{faults}"));
+            return Exit::Configuration;
+        }
+    };
+    if params.plan.policy == Policy::KnownMap {
+        complain("plan.policy known-map needs the true map, which only a simulated world gives");
+        return Exit::Configuration;
+    }
+    if params.daemon.lock_memory {
+        realtime::lock_memory();
+    }
+    let planning = PlanningParams {
+        planner: planner_params(&params),
+        predict: params.predict.clone(),
+    };
+    let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
+        Ok(worker) => worker,
+        Err(error) => {
+            complain(&error.to_string());
+            return Exit::Configuration;
+        }
+    };
+    let state_directory = state_directory(&params, environment);
+    let marker = state_directory.as_deref().and_then(|directory| {
+        Marker::set(directory)
+            .inspect_err(|error| {
+                tracing::warn!("cannot leave a mark in {}: {error}", directory.display());
+            })
+            .ok()
+    });
+    let task = Task {
+        goal: args.goal,
+        until_goal: args.until_goal,
+        time_limit_s: args.time_limit,
+        after_crash: marker.as_ref().is_some_and(|marker| marker.after_crash),
+    };
+    if task.after_crash {
+        tracing::warn!("previous run ended unexpectedly; disarmed");
+    }
+
+    let (orders, when_ordered) = mpsc::channel(ORDERS_MAX);
+    let (words, when_said) = std::sync::mpsc::channel();
+    let (_seam, inner_seam) = Seam::new();
+    let pulse = Arc::new(Pulse::default());
+    let outside = Outside {
+        orders: when_ordered,
+        seam: inner_seam,
+        words: words.clone(),
+        pulse: Arc::clone(&pulse),
+        log_dropped: Box::new(log.dropped()),
+    };
+    let keeper = Keeper {
+        orders: orders.clone(),
+        words: when_said,
+        pulse,
+        load: Box::new(load),
+        config: args.config.clone(),
+        state_directory,
+        disk_free_min: keeper::disk_free_min(&params),
+        tick_rate_hz: tick_rate_hz(&params),
+    };
+    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
+    let control = std::thread::Builder::new()
+        .name("apexd-control".into())
+        .spawn(move || control_thread(params, start, worker, outside, task, orders, words));
+    let control = match control {
+        Ok(control) => control,
+        Err(error) => {
+            complain(&StartError::from(error).to_string());
+            return Exit::Failed;
+        }
+    };
+    keeper.run();
+    let summary = match control.join() {
+        Ok(Ok(summary)) => summary,
+        Ok(Err(error)) => {
+            complain(&error.to_string());
+            // Nothing has moved.
+            end_well(marker);
+            return Exit::Failed;
+        }
+        Err(panic) => {
+            complain(&format!("the control thread failed: {}", worker::panic_text(&*panic)));
+            return Exit::Failed;
+        }
+    };
+    let exit = exit_of(&summary, task);
+    if summary.outcome != "cut off" {
+        end_well(marker);
+    }
+    tracing::info!("{} after {:.1} s", summary.outcome, summary.time_s);
+    drop(log);
+    if args.json {
+        say(out, &serde_json::to_string(&summary).expect("a summary is plain data"));
+    }
+    exit
+}
+
+/// The control thread, from the socket to the last setpoint.
+fn control_thread(
+    params: Params,
+    start: Pose,
+    worker: ThreadWorker,
+    outside: Outside,
+    task: Task,
+    orders: mpsc::Sender<Order>,
+    words: std::sync::mpsc::Sender<Word>,
+) -> Result<Summary, StartError> {
+    let clock = Clock::start();
+    let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let layout = params.can.layout;
+        let link = SocketLink::open(&params.can, clock)?;
+        let timing = MonotonicTiming::new(clock)?;
+        let mut terminate = signal(SignalKind::terminate())?;
+        let mut interrupt = signal(SignalKind::interrupt())?;
+        let mut hang_up = signal(SignalKind::hangup())?;
+        tokio::spawn(async move {
+            loop {
+                tokio::select! {
+                    _ = terminate.recv() => {}
+                    _ = interrupt.recv() => {}
+                    _ = hang_up.recv() => {
+                        let _ = words.send(Word::Reload);
+                        continue;
+                    }
+                }
+                let _ = orders.send(Order::End).await;
+            }
+        });
+        realtime::raise_priority(params.daemon.priority);
+        let core = Autopilot::new(core_params(&params), layout, start, clock.now());
+        Ok(Control::new(core, params, link, timing, worker, outside, task).run().await)
+    })
+}
+
+fn exit_of(summary: &Summary, task: Task) -> Exit {
+    let missed = task.goal.is_some() && !summary.goal_reached;
+    match summary.outcome {
+        "planner lost" => Exit::Failed,
+        "timeout" if missed => Exit::Failed,
+        _ => Exit::Done,
+    }
+}
+
+fn end_well(marker: Option<Marker>) {
+    if let Some(Err(error)) = marker.map(Marker::remove) {
+        tracing::warn!("cannot take the mark away: {error}");
+    }
+}
+
+/// Where the daemon keeps what it must remember; of several directories from systemd the first.
+fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
+    let configured = &params.daemon.state_directory;
+    if !configured.is_empty() {
+        return Some(configured.into());
+    }
+    let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
+    let first = value.to_str()?.split(':').next()?;
+    (!first.is_empty()).then(|| first.into())
+}
+
+fn tick_rate_hz(_params: &Params) -> f64 {
+    100.0
+}
+
+#[cfg(test)]
+mod tests;
