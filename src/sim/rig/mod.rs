@@ -6,12 +6,14 @@
 //! information is not fiction.
 
 mod car_end;
+mod process;
 mod setup;
 mod snapshot;
 
 use std::collections::VecDeque;
 
 use car_end::CarEnd;
+use process::Process;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
 pub use snapshot::Snapshot;
@@ -56,6 +58,7 @@ pub struct Rig {
     now: Instant,
     steps: u64,
     job: Option<(Instant, StepReport)>,
+    process: Process,
     started: Option<Instant>,
     moved_m: f64,
     last_useful: Instant,
@@ -217,7 +220,9 @@ impl Rig {
         }
         let verdict =
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
-        if self.interrupted {
+        if self.process.is_stopped(self.now) {
+            // Nobody listens.
+        } else if self.interrupted {
             // Refused where the car is at rest or coming to rest anyway.
             let _ = self.core.handle_command(self.now, Command::Pause);
         } else {
@@ -265,8 +270,9 @@ impl Rig {
     /// Lets everything happen on the bus and in the core until `end`.
     fn settle(&mut self, end: Instant) {
         loop {
-            let job = self.job.as_ref().map(|(at, _)| *at);
-            let next = [self.bus.poll_at(), Some(self.core.poll_at()), job]
+            let job = self.job.as_ref().map(|(at, _)| self.process.wakes_at(*at));
+            let tick = self.process.ticks_at(self.core.poll_at());
+            let next = [self.bus.poll_at(), Some(tick), job]
                 .into_iter()
                 .flatten()
                 .min()
@@ -274,17 +280,22 @@ impl Rig {
             let Some(next) = next else { break };
             self.now = self.now.max(next);
             self.bus.advance(self.now);
-            while let Some((at, frame)) = self.bus.receive(self.daemon_node) {
-                self.core.handle_frame(at, &frame);
-                self.enter_delivered_scan();
-            }
             while let Some((at, frame)) = self.bus.receive(self.car.node()) {
                 self.car.handle_frame(at, &frame);
+            }
+            if self.process.is_stopped(self.now) {
+                continue;
+            }
+            while let Some((at, frame)) = self.bus.receive(self.daemon_node) {
+                self.core.handle_frame(Process::stamp(self.now, at), &frame);
+                self.enter_delivered_scan();
             }
             if let Some((_, report)) = self.job.take_if(|(at, _)| *at <= self.now) {
                 self.core.handle_job_done(self.now, report);
             }
-            self.core.handle_time(self.now);
+            if self.now >= tick {
+                self.core.handle_time(self.now);
+            }
             self.fetch();
         }
     }
@@ -313,7 +324,7 @@ impl Rig {
             if let Some(reports) = &mut self.reports {
                 reports.push((request, report.clone()));
             }
-            self.job = Some((done, report));
+            self.job = (!self.process.planner_hangs).then_some((done, report));
         }
         while let Some(event) = self.core.poll_event() {
             if let Event::PlanAdopted { stop, length_m, .. } = event {
