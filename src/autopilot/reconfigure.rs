@@ -1,7 +1,6 @@
 //! New parameters for a running core, and jobs that will never come back.
 
 use super::{Autopilot, CoreParams, Fault, Mode};
-use crate::command::CarStatus;
 use crate::control::Tracker;
 use crate::time::{Duration, Instant};
 
@@ -10,7 +9,7 @@ impl Autopilot {
     /// take effect at the next start must be as before, those that wait for rest as before unless
     /// the car [is at rest](Self::is_at_rest).
     pub fn set_params(&mut self, params: CoreParams) {
-        self.tracker = Tracker::new(&params.vehicle, &params.control);
+        self.tracker = Tracker::new(&params.vehicle, &params.control, params.autopilot.tick_s());
         self.guard.set_params(&params.vehicle, &params.guard);
         if self.mode != Mode::Drive {
             // What comes back was made for another car.
@@ -29,7 +28,7 @@ impl Autopilot {
 
     /// A planning job that was asked for will never be answered.
     pub fn handle_job_lost(&mut self, now: Instant, number: u32) {
-        if self.in_flight == Some(number) {
+        if self.in_flight.as_ref().is_some_and(|job| job.number == number) {
             self.in_flight = None;
             self.raise(now, Fault::PlannerLate);
         }
@@ -39,10 +38,5 @@ impl Autopilot {
     /// in motion.
     pub fn take_plan_ages(&mut self) -> impl Iterator<Item = Duration> + '_ {
         self.statistics.plan_ages.drain(..)
-    }
-
-    /// The newest word of the car's controller, and when it came.
-    pub const fn car_status(&self) -> Option<&(Instant, CarStatus)> {
-        self.inputs.status.as_ref()
     }
 }

@@ -125,6 +125,8 @@ const SHAPE_SLACK_M: f64 = 0.005;
 const GUIDES_MAX: usize = 4;
 /// A shape ends no nearer than this where nothing is known or foreseen, metres.
 const FORESEEN_LEAST_M: f64 = 4.0;
+/// Deceleration towards a lower speed that was asked for, m/s^2.
+const SLOW_DOWN_MPS2: f64 = 2.0;
 /// A plan whose executable part is shorter than this is no progress.
 pub const SHORTEST_PLAN_M: f64 = 0.02;
 
@@ -160,6 +162,16 @@ impl Planning for Planner {
     fn view(&mut self) -> Option<Box<dyn OccupancyView + '_>> {
         Some(Box::new(self.predictor.view(&self.clock)))
     }
+}
+
+/// The speed that is not to be exceeded at each sample. A car that is faster slows down gently.
+fn caps_mps(path: &[PathPoint], start_speed_mps: f64, cap_mps: f64) -> Option<Vec<f64>> {
+    let begin_m = path.first()?.s_m;
+    let cap = |p: &PathPoint| {
+        let left = start_speed_mps * start_speed_mps - 2.0 * SLOW_DOWN_MPS2 * (p.s_m - begin_m);
+        left.max(0.0).sqrt().max(cap_mps)
+    };
+    cap_mps.is_finite().then(|| path.iter().map(cap).collect())
 }
 
 /// Where a new path leaves the committed one.
@@ -498,7 +510,7 @@ impl Planner {
             start: branch.point.position,
             goal: request.goal.position,
             goal_radius_m: 0.0,
-            v_ref_mps: self.params.speed.speed_max_mps,
+            v_ref_mps: self.params.speed.speed_max_mps.min(request.speed_cap_mps),
             through_unknown: true,
         };
         let mut lap = Lap::new(&self.clock);
@@ -515,7 +527,15 @@ impl Planner {
                 found => found,
             }
         } else {
-            self.guide.find(&terrain, &query, &mut view, params)
+            let known = request.through_known.then(|| {
+                let known = SearchQuery { through_unknown: false, ..query };
+                let tight = Terrain { lethal: &self.tight, ..terrain };
+                self.guide.find(&tight, &known, &mut view, params).ok()
+            });
+            match known.flatten() {
+                Some(guide) => Ok(guide),
+                None => self.guide.find(&terrain, &query, &mut view, params),
+            }
         };
         let predicted = self.predictor.spent().saturating_sub(predicted);
         times.search += lap.take(&self.clock).saturating_sub(predicted);
@@ -911,7 +931,8 @@ impl Planner {
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
         let taken_over = request.committed.trajectory.at(request.takes_over);
         let start_speed_mps = taken_over.speed_mps;
-        let task = SpeedTask { start_speed_mps, end: End::Rest, caps_mps: None };
+        let caps = caps_mps(&executable.points, start_speed_mps, request.speed_cap_mps);
+        let task = SpeedTask { start_speed_mps, end: End::Rest, caps_mps: caps.as_deref() };
         let mut points = Vec::new();
         self.profiler
             .profile(&executable.points, &limits, &task, &mut points)

@@ -6,6 +6,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::configuration::Flag;
+use super::mavlink::LinkUrl;
 use super::sil::{SilRequest, WorldSource};
 use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
 use crate::experiment::evaluate::{Request, SceneSource, SetRequest};
@@ -70,7 +71,7 @@ pub struct SilArgs {
         long,
         value_name = "FILE.yaml",
         conflicts_with_all = ["maze", "family"],
-        requires_all = ["start", "goal"],
+        requires = "start",
         help_heading = "World"
     )]
     pub map: Option<PathBuf>,
@@ -138,6 +139,13 @@ pub struct SilArgs {
     /// Keep pace with the clock on the wall instead of running as fast as possible.
     #[arg(long, help_heading = "Simulation")]
     pub realtime: bool,
+
+    /// Let ground stations join by this MAVLink link, in real time: udpin:HOST:PORT,
+    /// udpout:HOST:PORT, tcpin:HOST:PORT, tcpout:HOST:PORT, serial:DEVICE:BAUD; may be repeated.
+    /// Without --goal the car waits for one and the drive goes on until it is interrupted. The
+    /// parameter mavlink.links is not looked at: a simulation opens nothing by itself.
+    #[arg(long, value_name = "URL", help_heading = "Simulation")]
+    pub mavlink: Vec<LinkUrl>,
 
     /// Draw what the planner foresaw this many seconds after the first motion. If not given, halfway
     /// through the drive.
@@ -208,7 +216,8 @@ impl SilArgs {
             seed: self.seed,
             latency: self.latency,
             time_limit_s: self.time_limit,
-            realtime: self.realtime,
+            realtime: self.realtime || !self.mavlink.is_empty(),
+            links: self.mavlink.clone(),
             snapshot_s: self.snapshot,
             params,
             out,

@@ -9,6 +9,8 @@ pub mod daemon;
 mod dataset;
 mod evaluate;
 mod folder;
+mod load;
+pub mod mavlink;
 mod pace;
 mod progress;
 pub mod report;
@@ -132,7 +134,13 @@ fn drive(
         complain(&error.to_string());
         return Exit::Failed;
     }
-    if summary.outcome == Outcome::Goal { Exit::Done } else { Exit::Failed }
+    let done = match summary.outcome {
+        Outcome::Goal => true,
+        // Nothing was asked of the drive itself.
+        Outcome::Interrupted => request.is_attended(),
+        _ => false,
+    };
+    if done { Exit::Done } else { Exit::Failed }
 }
 
 fn maze(args: &MazeArgs, simulator: &dyn Simulator, out: &mut dyn Write) -> Exit {

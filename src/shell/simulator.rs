@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use super::mavlink::Attended;
 use super::pace;
 use super::report::{DriveRecord, outline};
 use super::sil::{Progress, RunError, SilRequest, Simulator, WorldSource};
@@ -33,7 +34,13 @@ impl Simulator for RigSimulator {
     ) -> Result<DriveRecord, RunError> {
         let place = Place::of(request)?;
         let truth = walls(&place.world);
-        let (start, goal) = (place.start, place.goal);
+        let start = place.start;
+        let mut goal = place.goal;
+        let mut attended = if request.links.is_empty() {
+            None
+        } else {
+            Some(Attended::start(&request.params, &request.links, start).map_err(input)?)
+        };
         let mut rig = Rig::new(setup(request, place)).map_err(input)?;
         rig.keep_snapshot(request.snapshot_s);
 
@@ -42,6 +49,11 @@ impl Simulator for RigSimulator {
         pace::drive(&mut rig, request.realtime, |rig| {
             while let Some(event) = rig.poll_event() {
                 log(&event);
+                attended.iter().for_each(|attended| attended.tell(&event));
+            }
+            if let Some(attended) = &mut attended {
+                attended.attend(rig);
+                goal = rig.core().goal().map(|goal| goal.position).or(goal);
             }
             let now_s = rig.now().as_secs_f64();
             if now_s >= next_progress_s {
@@ -50,7 +62,7 @@ impl Simulator for RigSimulator {
                     time_s: now_s,
                     speed_mps: rig.car().speed_mps,
                     distance_m: rig.distance_m(),
-                    remaining_m: remaining_m(rig, goal),
+                    remaining_m: goal.map_or(0.0, |goal| remaining_m(rig, goal)),
                     replans: rig.core().statistics().replans,
                 });
             }
@@ -67,7 +79,7 @@ impl Simulator for RigSimulator {
             truth,
             snapshot: rig.snapshot().cloned(),
             start,
-            goal,
+            goal: goal.unwrap_or(start.position),
             goal_radius_m: request.params.autopilot.goal_radius_m,
             speed_limit_mps: request.params.speed.speed_max_mps,
             force_limit_n: vehicle.mass_kg * vehicle.acceleration_limit_mps2(),
@@ -88,7 +100,7 @@ fn input(error: impl std::error::Error + Send + Sync + 'static) -> RunError {
 struct Place {
     world: World,
     start: Pose,
-    goal: Point,
+    goal: Option<Point>,
 }
 
 impl Place {
@@ -98,7 +110,7 @@ impl Place {
                 let maze = maze::generate(*family, *seed, MAZE_RESOLUTION_M).map_err(input)?;
                 Ok(Self {
                     start: request.start.unwrap_or(maze.start),
-                    goal: request.goal.unwrap_or(maze.goal),
+                    goal: request.goal.or((!request.is_attended()).then_some(maze.goal)),
                     world: maze.world,
                 })
             }
@@ -106,7 +118,10 @@ impl Place {
                 let missing = |what: &str| RunError::Input(format!("a map needs --{what}").into());
                 Ok(Self {
                     start: request.start.ok_or_else(|| missing("start X,Y,DEG"))?,
-                    goal: request.goal.ok_or_else(|| missing("goal X,Y"))?,
+                    goal: match request.goal {
+                        None if !request.is_attended() => return Err(missing("goal X,Y")),
+                        goal => goal,
+                    },
                     world: World::from_map(&mapfile::load(file).map_err(input)?),
                 })
             }
@@ -120,7 +135,7 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
     RigSetup {
         world: place.world,
         start: place.start,
-        goal: Some(place.goal),
+        goal: place.goal,
         core: core_params(params),
         planner: planner_params(params),
         predict: params.predict.clone(),
@@ -132,7 +147,8 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
         faults: FaultPlan::default(),
         seed: request.seed,
         latency: request.latency,
-        time_limit_s: request.time_limit_s,
+        // Nobody but the ground station knows how long it will take.
+        time_limit_s: request.time_limit_s.or(request.is_attended().then_some(f64::INFINITY)),
         stopwatch: Box::new(move || begin.elapsed()),
         planning: None,
     }

@@ -25,9 +25,9 @@ use tokio::runtime;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
-pub use change::ChangeRefusal;
+pub use change::{ChangeRefusal, apply as apply_change};
 pub use params::DaemonParams;
-pub use seam::{CommandRefusal, CoreSnapshot, Request, Seam};
+pub use seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request, Seam};
 
 use super::can::CanLinkError;
 use super::cli::RunArgs;
