@@ -73,12 +73,8 @@ pub fn read_state(path: &Path) -> io::Result<SigningState> {
         read => read?,
     };
     let stored: Stored = serde_json::from_slice(&text)?;
-    let stream = |(system, component, link, timestamp)| StreamStamp {
-        system,
-        component,
-        link,
-        timestamp,
-    };
+    let stream =
+        |(system, component, link, timestamp)| StreamStamp { system, component, link, timestamp };
     Ok(SigningState {
         used_up_to: stored.used_up_to,
         streams: stored.streams.into_iter().map(stream).collect(),

@@ -99,8 +99,7 @@ impl Mavlink {
             Ok::<(), LinkError>(())
         })?;
         let ground = Ground::new(params.clone(), joined.services);
-        let hub =
-            Hub::new(ground, joined.seam, joined.start, keys, params.unsigned, joined.ender);
+        let hub = Hub::new(ground, joined.seam, joined.start, keys, params.unsigned, joined.ender);
         let counts = Arc::clone(&hub.counts);
         let (stop, stopped) = oneshot::channel();
         let thread = std::thread::Builder::new()
