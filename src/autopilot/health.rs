@@ -270,6 +270,7 @@ impl Autopilot {
         need(health.bus.state == BusState::Active, Refusal::BusNotActive(health.bus.state));
         need(!health.host.disk_full, Refusal::DiskFull);
         need(!self.faults.contains(Fault::Overload), Refusal::Overload);
+        need(!self.faults.contains(Fault::Terminated), Refusal::Terminated);
         for fault in [Fault::ClockJump, Fault::CorruptFrames, Fault::BusErrors] {
             need(!self.faults.contains(fault), Refusal::Unsettled(fault));
         }
@@ -406,6 +407,7 @@ impl Autopilot {
                     || health.unsent.is_full(now),
             ),
             (Fault::Overload, health.late_ticks.is_full(now)),
+            (Fault::StationLost, self.wish.station_lost),
             (Fault::GuardStop, self.guard.stopping().is_some()),
             (Fault::PlannerLate, job_age_s > PLAN_TIMEOUT_S),
             (Fault::NoPlan, self.mode == Mode::Drive && no_plan),

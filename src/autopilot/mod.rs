@@ -112,6 +112,7 @@ pub struct Autopilot {
     started: Instant,
     mode: Mode,
     goal: Option<Goal>,
+    wish: Wish,
     faults: ActiveFaults,
     /// Faults whose detectors are switched off, in tests.
     suppressed: ActiveFaults,
@@ -154,6 +155,17 @@ struct Inputs {
     epoch: Option<u32>,
 }
 
+/// How the goal is to be driven to, and whether anybody still listens.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wish {
+    /// A speed not to be exceeded, m/s.
+    speed_limit_mps: Option<f64>,
+    /// Through known space, if there is a way.
+    through_known: bool,
+    /// Every ground station has gone silent, and that is to stop the car.
+    station_lost: bool,
+}
+
 /// A planning step under way.
 struct InFlight {
     number: u32,
@@ -173,6 +185,7 @@ impl Autopilot {
             started: now,
             mode: Mode::Disarmed,
             goal: None,
+            wish: Wish::default(),
             faults: ActiveFaults::default(),
             suppressed: ActiveFaults::default(),
             health: Health::new(now, tick_s, params.autopilot.bus_errors_max_ps),
@@ -239,6 +252,11 @@ impl Autopilot {
     /// Estimated pose and speed at `now`.
     pub fn state(&self, now: Instant) -> Option<(Pose, f64)> {
         self.localizer.pose_at(now).map(|pose| (pose, self.localizer.speed_at(now)))
+    }
+
+    /// Yaw rate by the newest odometry, rad/s, counter-clockwise; zero without any.
+    pub fn yaw_rate_rps(&self) -> f64 {
+        self.localizer.newest().map_or(0.0, |(odometry, _)| odometry.yaw_rate_rps)
     }
 
     /// The newest complete scan.
@@ -504,6 +522,8 @@ impl Autopilot {
             committed: Arc::clone(self.committed.newest()),
             takes_over: self.tick_from(now.offset_by(self.params.autopilot.plan_budget_s)),
             goal,
+            speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
+            through_known: self.wish.through_known,
         });
     }
 

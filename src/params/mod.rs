@@ -94,6 +94,7 @@ sections! {
     controller: crate::sim::controller::ControllerParams,
     lidar: crate::sim::lidar::LidarParams,
     bus: crate::sim::bus::BusParams,
+    mavlink: crate::ground::MavlinkParams,
 }
 
 impl Params {

@@ -151,6 +151,8 @@ const SHORTEST_EDGE_M: f64 = 1e-3;
 const SHAPE_SLACK_M: f64 = 0.005;
 /// A shape ends no nearer than this where nothing is known or foreseen, metres.
 const FORESEEN_LEAST_M: f64 = 4.0;
+/// Deceleration towards a lower speed that was asked for, m/s^2.
+const SLOW_DOWN_MPS2: f64 = 2.0;
 /// A plan whose executable part is shorter than this is no progress.
 pub const SHORTEST_PLAN_M: f64 = 0.02;
 
@@ -191,6 +193,16 @@ impl Planning for Planner {
     fn view(&mut self) -> Option<Box<dyn OccupancyView + '_>> {
         Some(Box::new(self.predictor.view(&self.clock)))
     }
+}
+
+/// The speed that is not to be exceeded at each sample. A car that is faster slows down gently.
+fn caps_mps(path: &[PathPoint], start_speed_mps: f64, cap_mps: f64) -> Option<Vec<f64>> {
+    let begin_m = path.first()?.s_m;
+    let cap = |p: &PathPoint| {
+        let left = start_speed_mps * start_speed_mps - 2.0 * SLOW_DOWN_MPS2 * (p.s_m - begin_m);
+        left.max(0.0).sqrt().max(cap_mps)
+    };
+    cap_mps.is_finite().then(|| path.iter().map(cap).collect())
 }
 
 /// Where a new path leaves the committed one.
@@ -709,7 +721,8 @@ impl Planner {
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
         let taken_over = request.committed.trajectory.at(request.takes_over);
         let start_speed_mps = taken_over.speed_mps;
-        let task = SpeedTask { start_speed_mps, end: End::Rest, caps_mps: None };
+        let caps = caps_mps(&executable.points, start_speed_mps, request.speed_cap_mps);
+        let task = SpeedTask { start_speed_mps, end: End::Rest, caps_mps: caps.as_deref() };
         let mut points = Vec::new();
         self.profiler
             .profile(&executable.points, &limits, &task, &mut points)

@@ -12,6 +12,7 @@ pub use run::RunArgs;
 use super::car::CarRequest;
 use super::configuration::Flag;
 use super::experiment::args::ExperimentArgs;
+use super::mavlink::LinkUrl;
 use super::place::{PlaceRequest, WorldSource};
 use super::sil::SilRequest;
 use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
@@ -86,7 +87,7 @@ pub struct WorldArgs {
         long,
         value_name = "FILE.yaml",
         conflicts_with_all = ["maze", "family"],
-        requires_all = ["start", "goal"],
+        requires = "start",
         help_heading = "World"
     )]
     pub map: Option<PathBuf>,
@@ -174,6 +175,13 @@ pub struct SilArgs {
     #[arg(long, help_heading = "Simulation")]
     pub realtime: bool,
 
+    /// Let ground stations join by this MAVLink link, in real time: udpin:HOST:PORT,
+    /// udpout:HOST:PORT, tcpin:HOST:PORT, tcpout:HOST:PORT, serial:DEVICE:BAUD; may be repeated.
+    /// Without --goal the car waits for one and the drive goes on until it is interrupted. The
+    /// parameter mavlink.links is not looked at: a simulation opens nothing by itself.
+    #[arg(long, value_name = "URL", help_heading = "Simulation")]
+    pub mavlink: Vec<LinkUrl>,
+
     /// Draw what the planner foresaw this many seconds after the first motion. If not given, halfway
     /// through the drive.
     #[arg(long, value_name = "SECONDS", value_parser = not_negative, help_heading = "Output")]
@@ -237,7 +245,8 @@ impl SilArgs {
             seed: self.seed,
             latency: self.latency,
             time_limit_s: self.time_limit,
-            realtime: self.realtime,
+            realtime: self.realtime || !self.mavlink.is_empty(),
+            links: self.mavlink.clone(),
             snapshot_s: self.snapshot,
             params,
             out,

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use super::mavlink::Attended;
 use super::pace;
 use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
@@ -30,8 +31,14 @@ impl Simulator for RigSimulator {
         let place = request.place.place()?;
         warn_of_load(&request.params);
         let truth = walls(&place.world);
-        let (start, goal) = (place.start, place.goal);
-        let mut rig = Rig::new(setup(request, place)).map_err(input)?;
+        let start = place.start;
+        let mut goal = if request.is_attended() { None } else { Some(place.needed_goal()?) };
+        let mut attended = if request.links.is_empty() {
+            None
+        } else {
+            Some(Attended::start(&request.params, &request.links, start).map_err(input)?)
+        };
+        let mut rig = Rig::new(setup(request, place, goal)).map_err(input)?;
         rig.keep_snapshot(request.snapshot_s);
 
         let begin = pace::now();
@@ -39,6 +46,11 @@ impl Simulator for RigSimulator {
         pace::drive(&mut rig, request.realtime, |rig| {
             while let Some(event) = rig.poll_event() {
                 log(&event);
+                attended.iter().for_each(|attended| attended.tell(&event));
+            }
+            if let Some(attended) = &mut attended {
+                attended.attend(rig);
+                goal = rig.core().goal().map(|goal| goal.position).or(goal);
             }
             let now_s = rig.now().as_secs_f64();
             if now_s >= next_progress_s {
@@ -47,7 +59,7 @@ impl Simulator for RigSimulator {
                     time_s: now_s,
                     speed_mps: rig.car().speed_mps,
                     distance_m: rig.distance_m(),
-                    remaining_m: remaining_m(rig, goal),
+                    remaining_m: goal.map_or(0.0, |goal| remaining_m(rig, goal)),
                     replans: rig.core().statistics().replans,
                 });
             }
@@ -64,7 +76,7 @@ impl Simulator for RigSimulator {
             truth,
             snapshot: rig.snapshot().cloned(),
             start,
-            goal,
+            goal: goal.unwrap_or(start.position),
             goal_radius_m: request.params.autopilot.goal_radius_m,
             speed_limit_mps: request.params.speed.speed_max_mps,
             force_limit_n: vehicle.mass_kg * vehicle.acceleration_limit_mps2(),
@@ -77,13 +89,13 @@ impl Simulator for RigSimulator {
     }
 }
 
-fn setup(request: &SilRequest, place: Place) -> RigSetup {
+fn setup(request: &SilRequest, place: Place, goal: Option<Point>) -> RigSetup {
     let params = &request.params;
     let begin = pace::now();
     RigSetup {
         world: place.world,
         start: place.start,
-        goal: Some(place.goal),
+        goal,
         core: params.core(),
         planner: params.planner(),
         predict: params.predict.clone(),
@@ -95,7 +107,8 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
         faults: FaultPlan::default(),
         seed: request.seed,
         latency: request.latency,
-        time_limit_s: request.time_limit_s,
+        // Nobody but the ground station knows how long it will take.
+        time_limit_s: request.time_limit_s.or(request.is_attended().then_some(f64::INFINITY)),
         stopwatch: Box::new(move || begin.elapsed()),
         planning: None,
     }

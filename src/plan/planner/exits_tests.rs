@@ -60,6 +60,8 @@ fn request(grid: Grid, start: Pose, goal: Point) -> PlanRequest {
         committed: Arc::new(Plan::standing(now, start)),
         takes_over: Instant::from_nanos(1_020_000_000),
         goal: Goal { position: goal, radius_m: 0.5 },
+        speed_cap_mps: f64::INFINITY,
+        through_known: false,
     }
 }
 

@@ -117,14 +117,20 @@ impl Planner {
             start: branch.point.position,
             goal: request.goal.position,
             goal_radius_m: 0.0,
-            v_ref_mps: self.params.speed.speed_max_mps,
+            v_ref_mps: self.params.speed.speed_max_mps.min(request.speed_cap_mps),
             through_unknown: true,
         };
         let mut lap = Lap::new(&self.clock);
         let predicted = self.predictor.spent();
         let found = match (aim, self.params.plan.policy) {
             (Aim::Anywhere, Policy::Frontier) => self.naive_guide(request, query),
-            (Aim::Anywhere, _) => self.search(&request.grid, &query, Mask::Lethal),
+            (Aim::Anywhere, _) => {
+                let known = request.through_known.then(|| {
+                    let query = SearchQuery { through_unknown: false, ..query };
+                    self.search(&request.grid, &query, Mask::Tight).ok()
+                });
+                known.flatten().map_or_else(|| self.search(&request.grid, &query, Mask::Lethal), Ok)
+            }
             (Aim::Known, _) => {
                 let query = SearchQuery { through_unknown: false, ..query };
                 self.search(&request.grid, &query, Mask::Lethal)
