@@ -11,6 +11,7 @@ use std::sync::atomic::AtomicBool;
 use apexd::experiment::campaign::{CampaignRequest, Tally, tables};
 use apexd::experiment::run::{Record, Tools, execute};
 use apexd::plan::Stopwatch;
+use apexd::sim::maze::Family;
 use rayon::prelude::*;
 use serde_json::Value;
 use tempfile::TempDir;
@@ -178,6 +179,8 @@ fn random_drives_touch_nothing_and_enter_nothing_unseen() {
         runs: std::env::var("APEXD_CAMPAIGN_RUNS").map_or(24, |n| n.parse().expect("a number")),
         policies: vec!["map-predictive".into(), "frontier".into()],
         predictors: ["none", "oracle", "random", "inverted"].map(str::to_owned).to_vec(),
+        // The winding mazes take longest; `tests/campaign.rs` drives them.
+        families: vec![Family::Solid, Family::Branching, Family::Posts],
         speeds_mps: vec![4.0, 6.0, 8.0],
         ..CampaignRequest::default()
     };

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::dataset::HELD_OUT_FROM;
 use super::failures::failures;
-use super::run::{Keep, Record, RunError, RunSpec, Task, Timing, WorldSpec};
+use super::run::{Keep, Record, RunError, RunSpec, SpecError, Task, Timing, WorldSpec};
 use super::table::{Cell, Table};
 use crate::frames::{Point, Vector};
 use crate::mapfile;
@@ -119,6 +119,7 @@ impl CampaignRequest {
                 return Err(CampaignError::Nothing(name));
             }
         }
+        self.check_values().map_err(RunError::from)?;
         let maps: Vec<World> = self
             .maps
             .iter()
@@ -131,6 +132,20 @@ impl CampaignRequest {
             })
             .collect::<Result<_, RunError>>()?;
         (0..self.runs).into_par_iter().map(|number| self.task(number, &maps)).collect()
+    }
+
+    /// Reads the parameters with each value that may be drawn, so that a name or a number that does
+    /// not do is found before anything is driven.
+    fn check_values(&self) -> Result<(), SpecError> {
+        let base = RunSpec { set: self.set.clone(), ..RunSpec::maze(Family::Thin, 0) };
+        let policies = self.policies.iter().map(|p| RunSpec { policy: p.clone(), ..base.clone() });
+        let predictors =
+            self.predictors.iter().map(|p| RunSpec { predictor: p.clone(), ..base.clone() });
+        let speeds = self.speeds_mps.iter().map(|v| RunSpec { speed_max_mps: *v, ..base.clone() });
+        let rates =
+            self.lidar_rates_hz.iter().map(|r| RunSpec { lidar_rate_hz: *r, ..base.clone() });
+        let mut all = policies.chain(predictors).chain(speeds).chain(rates);
+        all.try_for_each(|spec| spec.params().map(drop))
     }
 
     fn task(&self, number: u64, maps: &[World]) -> Result<Task, CampaignError> {
@@ -169,7 +184,6 @@ impl CampaignRequest {
         spec.lidar_rate_hz = *pick(&mut rng, &self.lidar_rates_hz);
         spec.seed = u64::from(rng.next_u32());
         spec.set.clone_from(&self.set);
-        spec.params().map_err(RunError::from)?;
         let keep = Keep { reference: true, ..Keep::default() };
         Ok(Task { experiment: NAME.into(), spec, keep })
     }

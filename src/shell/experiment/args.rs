@@ -94,7 +94,8 @@ pub enum Preset {
     /// The paper's: 30 mazes at 1 to 4 m/s, at 2 Hz and after each scan, and sensor range against
     /// prediction range: hours.
     Paper,
-    /// The paper's and 6 and 8 m/s, in all three families of mazes.
+    /// The paper's and 6 and 8 m/s, in all three families of mazes, and the other readings of its
+    /// text.
     Full,
 }
 
@@ -188,8 +189,11 @@ impl PaperArgs {
                 self.pace.iter().map(pace).collect()
             }
         };
-        let methods =
-            if self.methods.is_empty() { Method::defaults() } else { self.methods.clone() };
+        let mut methods = self.methods.clone();
+        if methods.is_empty() {
+            methods = Method::defaults();
+            methods.extend(full.then(Method::other_readings).into_iter().flatten());
+        }
         let sweep_mazes = self.sweep_mazes.unwrap_or(if small { 0 } else { 10 });
         let compared = ["frontier", "map-predictive+cnp", "map-predictive+oracle"];
         let sweep = (sweep_mazes > 0).then(|| Sweep {
@@ -347,6 +351,8 @@ mod tests {
         assert_eq!(paper_.sweep.unwrap().sensor_m, [2.5, 5.0, 7.5, 10.0]);
         let full = paper("--preset full");
         assert_eq!((full.families.len(), full.speeds_mps.len()), (3, 6));
+        assert_eq!(full.methods.len(), paper_.methods.len() + 2);
+        assert!(full.tasks().is_ok(), "every name is known");
     }
 
     #[test]
