@@ -390,10 +390,12 @@ fn a_flood_is_throttled_and_the_next_command_is_answered() {
         (station.send)(&frame);
     }
     let took_s = begin.elapsed().as_secs_f64();
+    // What the full socket lost is said again, as every client does.
     let mut other = udp_station(port);
-    assert_eq!(other.command(ARM, 1.0), Some(MavResult::MAV_RESULT_ACCEPTED));
+    let answer = (0..3).find_map(|_| other.command(ARM, 1.0));
+    assert_eq!(answer, Some(MavResult::MAV_RESULT_ACCEPTED));
     let obeyed = control.commands.lock().unwrap().len() as f64;
-    let allowed = 2.0 * 500.0 + 1000.0 * (took_s + 5.0);
+    let allowed = 2.0 * 500.0 + 1000.0 * (took_s + 10.0);
     assert!(obeyed < allowed, "{obeyed} commands obeyed in {took_s} s");
     let frames = mavlink.counts.frames.load(Ordering::Relaxed) as f64;
     assert!(frames < allowed, "{frames} frames handled in {took_s} s");
