@@ -173,6 +173,8 @@ struct InFlight {
     goal: Goal,
     /// Its answer is not wanted any more.
     void: bool,
+    /// Beams have ended in free space since: its answer is to be looked at again.
+    outdated: bool,
 }
 
 impl Autopilot {
@@ -379,6 +381,9 @@ impl Autopilot {
         self.guard.handle_scan(&scan);
         self.inputs.raw_scan = Some(Arc::new(scan));
         if insertion.turned_occupied > 0 {
+            if let Some(job) = &mut self.in_flight {
+                job.outdated = true;
+            }
             self.certify_again(now);
         }
         self.request_plan(now);
@@ -400,21 +405,18 @@ impl Autopilot {
         match report.verdict {
             _ if !wanted => self.statistics.plans_stale += 1,
             Verdict::Plan(plan) => {
-                let welcome = self.mode == Mode::Drive && self.decisive_action().is_none();
-                if now > report.takes_over {
-                    self.statistics.plans_late += 1;
-                    self.events.push_back(Event::PlanLate { number: report.number });
-                } else if welcome && report.base == self.committed.newest().number {
-                    self.last_adopted = now;
-                    self.statistics.plans_adopted += 1;
-                    self.events.push_back(Event::PlanAdopted {
-                        number: plan.number,
-                        stop: plan.trajectory.last().path.position,
-                        length_m: plan.trajectory.last().path.s_m,
-                    });
-                    self.committed.schedule(*plan);
-                } else {
-                    self.statistics.plans_stale += 1;
+                let welcome = self.mode == Mode::Drive
+                    && self.decisive_action().is_none()
+                    && report.base == self.committed.newest().number;
+                match self.in_time(now, report.takes_over, *plan) {
+                    None => {
+                        self.statistics.plans_late += 1;
+                        self.events.push_back(Event::PlanLate { number: report.number });
+                    }
+                    Some(plan) if welcome && !(job.outdated && self.is_revoked(&plan)) => {
+                        self.adopt(now, plan);
+                    }
+                    Some(_) => self.statistics.plans_stale += 1,
                 }
             }
             Verdict::Keep => self.last_adopted = now,
@@ -426,6 +428,38 @@ impl Autopilot {
                 self.raise(now, Fault::GoalUnreachable);
             }
         }
+    }
+
+    /// The plan if it can still take over. A car that stands where a plan begins may begin late:
+    /// without that, planning that always takes longer than it is granted would never let the car
+    /// set out.
+    fn in_time(&self, now: Instant, takes_over: Instant, mut plan: Plan) -> Option<Plan> {
+        if now > takes_over {
+            let waits = self.committed.is_finished(now);
+            if !waits || plan.trajectory.points.first().is_none_or(|p| p.speed_mps > 0.0) {
+                return None;
+            }
+            plan.trajectory.start = self.tick_from(now);
+        }
+        Some(plan)
+    }
+
+    /// Whether something stands on a plan by now.
+    fn is_revoked(&self, plan: &Plan) -> bool {
+        let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
+        recertify(&plan.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
+    }
+
+    fn adopt(&mut self, now: Instant, plan: Plan) {
+        self.last_adopted = now;
+        self.statistics.plans_adopted += 1;
+        let stop = plan.trajectory.last().path;
+        self.events.push_back(Event::PlanAdopted {
+            number: plan.number,
+            stop: stop.position,
+            length_m: stop.s_m,
+        });
+        self.committed.schedule(plan);
     }
 
     /// Time has passed; does what is due.
@@ -512,7 +546,7 @@ impl Autopilot {
         self.next_request = now.offset_by(wait_s);
         self.catch_up_with_car(now);
         let number = self.take_number();
-        self.in_flight = Some(InFlight { number, since: now, goal, void: false });
+        self.in_flight = Some(InFlight { number, since: now, goal, void: false, outdated: false });
         self.job = Some(PlanRequest {
             number,
             grid: self.mapper.snapshot(),

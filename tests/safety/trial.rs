@@ -166,8 +166,15 @@ impl Trial {
 
     /// The same with another planner.
     pub fn rig_with(&self, planning: Box<dyn Planning>) -> Rig {
+        let mut rig = Rig::new(self.setup_with(planning)).expect("start and goal are free");
+        rig.keep_reports();
+        rig
+    }
+
+    /// What that is made of.
+    pub fn setup_with(&self, planning: Box<dyn Planning>) -> RigSetup {
         let planner = self.planner_params();
-        let setup = RigSetup {
+        RigSetup {
             world: self.world.clone(),
             start: self.start,
             goal: Some(self.goal),
@@ -189,9 +196,6 @@ impl Trial {
             time_limit_s: self.time_limit_s,
             stopwatch: Box::new(|| Duration::ZERO),
             planning: Some(planning),
-        };
-        let mut rig = Rig::new(setup).expect("start and goal are free");
-        rig.keep_reports();
-        rig
+        }
     }
 }
