@@ -5,10 +5,11 @@ use std::path::Path;
 
 use super::mavlink::Attended;
 use super::pace;
+use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
-use super::sil::{Progress, RunError, SilRequest, Simulator, WorldSource};
+use super::sil::{Progress, RunError, SilRequest, Simulator, input};
 use crate::autopilot::{Action, CoreParams, Event};
-use crate::frames::{Point, Pose};
+use crate::frames::Point;
 use crate::mapfile;
 use crate::params::Params;
 use crate::plan::PlannerParams;
@@ -16,10 +17,7 @@ use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
 use crate::sim::rig::{Rig, RigSetup};
 use crate::sim::world::World;
-use crate::wire::can::Layout;
 
-/// Side of a cell of a maze, metres; a map file brings its own.
-const MAZE_RESOLUTION_M: f64 = 0.1;
 /// Simulated time between two looks at the progress, seconds.
 const PROGRESS_PERIOD_S: f64 = 0.1;
 
@@ -32,10 +30,16 @@ impl Simulator for RigSimulator {
         request: &SilRequest,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<DriveRecord, RunError> {
-        let place = Place::of(request)?;
+        let mut wanted = request.place.clone();
+        if request.is_attended() {
+            // Nobody looks at it: the ground station says where to go.
+            wanted.goal = wanted.start.map(|start| start.position);
+        }
+        let place = wanted.place()?;
+        warn_of_load(&request.params);
         let truth = walls(&place.world);
         let start = place.start;
-        let mut goal = place.goal;
+        let mut goal = (!request.is_attended()).then_some(place.goal);
         let mut attended = if request.links.is_empty() {
             None
         } else {
@@ -92,50 +96,13 @@ impl Simulator for RigSimulator {
     }
 }
 
-fn input(error: impl std::error::Error + Send + Sync + 'static) -> RunError {
-    RunError::Input(Box::new(error))
-}
-
-/// Where to drive, from where and to where.
-struct Place {
-    world: World,
-    start: Pose,
-    goal: Option<Point>,
-}
-
-impl Place {
-    fn of(request: &SilRequest) -> Result<Self, RunError> {
-        match &request.world {
-            WorldSource::Maze { seed, family } => {
-                let maze = maze::generate(*family, *seed, MAZE_RESOLUTION_M).map_err(input)?;
-                Ok(Self {
-                    start: request.start.unwrap_or(maze.start),
-                    goal: request.goal.or((!request.is_attended()).then_some(maze.goal)),
-                    world: maze.world,
-                })
-            }
-            WorldSource::Map { file } => {
-                let missing = |what: &str| RunError::Input(format!("a map needs --{what}").into());
-                Ok(Self {
-                    start: request.start.ok_or_else(|| missing("start X,Y,DEG"))?,
-                    goal: match request.goal {
-                        None if !request.is_attended() => return Err(missing("goal X,Y")),
-                        goal => goal,
-                    },
-                    world: World::from_map(&mapfile::load(file).map_err(input)?),
-                })
-            }
-        }
-    }
-}
-
 fn setup(request: &SilRequest, place: Place) -> RigSetup {
     let params = &request.params;
     let begin = pace::now();
     RigSetup {
         world: place.world,
         start: place.start,
-        goal: place.goal,
+        goal: (!request.is_attended()).then_some(place.goal),
         core: core_params(params),
         planner: planner_params(params),
         predict: params.predict.clone(),
@@ -143,7 +110,7 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
         lidar: params.lidar.clone(),
         car: params.car.clone(),
         controller: params.controller.clone(),
-        layout: Layout::Fd,
+        layout: params.can.layout,
         faults: FaultPlan::default(),
         seed: request.seed,
         latency: request.latency,

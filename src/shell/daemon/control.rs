@@ -14,7 +14,7 @@ use super::seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request};
 use super::statistics::{Frames, Statistics, Summary};
 use super::timing::Timing;
 use super::worker::{Finished, PlanningParams, Worker};
-use crate::autopilot::{Autopilot, Command, Event, Mode};
+use crate::autopilot::{self, Autopilot, BusHealth, Command, Event, HostHealth, Mode};
 use crate::frames::Point;
 use crate::params::Params;
 use crate::shell::can::{BusState, Received};
@@ -205,6 +205,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     /// Runs until the daemon is to end and the car stands.
     pub async fn run(mut self) -> Summary {
+        self.report_host(self.begun);
         let reason = loop {
             // In order of urgency; a branch that is not taken has lost nothing.
             tokio::select! {
@@ -289,7 +290,23 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     fn report_bus(&mut self, now: Instant) {
         let statistics = self.link.statistics();
-        let _ = (now, statistics.state == BusState::Off);
+        let state = match statistics.state {
+            _ if self.deaf_until.is_some() => autopilot::BusState::Off,
+            BusState::Active => autopilot::BusState::Active,
+            BusState::Passive => autopilot::BusState::Passive,
+            BusState::Off => autopilot::BusState::Off,
+        };
+        let error_frames = statistics.error_frames;
+        let health = BusHealth { state, error_frames, frames_unsent: self.unsent };
+        self.core.handle_bus_health(now, health);
+    }
+
+    fn report_host(&mut self, now: Instant) {
+        let health = HostHealth {
+            disk_full: self.disk_full,
+            predictor_missing: self.worker.is_predictor_missing(),
+        };
+        self.core.handle_host_health(now, health);
     }
 
     fn take_plan(&mut self, finished: Finished) {
@@ -319,7 +336,10 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             }
             Order::End => self.begin_end(Reason::Asked, "told to end"),
             Order::Params(params) => self.change_all(&params),
-            Order::DiskFull(full) => self.disk_full = full,
+            Order::DiskFull(full) => {
+                self.disk_full = full;
+                self.report_host(self.timing.now());
+            }
         }
         false
     }
@@ -403,7 +423,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         }
         self.report_bus(now);
         self.core.handle_time(now);
-        let missed = self.core.poll_at().seconds_after(due) / self.period_s();
+        let missed = self.core.poll_at().seconds_after(due) / self.params.autopilot.tick_s();
         self.statistics.ticks += 1;
         self.statistics.ticks_missed += (missed.round() as u64).saturating_sub(1);
         self.fetch();
@@ -414,10 +434,6 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         self.statistics.tick.note(sent.since(now));
         self.outside.pulse.ticks.fetch_add(1, Ordering::Relaxed);
         self.look_after(now);
-    }
-
-    fn period_s(&self) -> f64 {
-        0.01
     }
 
     /// A setpoint of a plan made from a newer scan than before has just been sent.
@@ -453,6 +469,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         }
         if now >= self.next_line {
             self.next_line = now + LINE_PERIOD;
+            self.report_host(now);
             self.write_line(now);
         }
         let patience_s = self.params.daemon.planner_limit_s;
@@ -556,13 +573,19 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     /// Takes what the core wants to send, have planned, and have said.
     fn fetch(&mut self) {
-        let now = self.timing.now();
-        while let Some(frame) = self.core.poll_frame() {
-            self.outbox.push_back((now, frame));
+        // Most frames leave nothing to do, and then nobody asks for the time.
+        if let Some(first) = self.core.poll_frame() {
+            let now = self.timing.now();
+            self.outbox.push_back((now, first));
+            while let Some(frame) = self.core.poll_frame() {
+                self.outbox.push_back((now, frame));
+            }
+            self.send();
         }
-        self.send();
         if let Some(request) = self.core.poll_job() {
-            self.job_since.get_or_insert(now);
+            if self.job_since.is_none() {
+                self.job_since = Some(self.timing.now());
+            }
             self.worker.submit(request);
         }
         while let Some(event) = self.core.poll_event() {

@@ -1,16 +1,18 @@
 //! A goal given at the start: arms the car as soon as the checks pass, and sends it there.
 
+use std::mem::Discriminant;
+
 use crate::autopilot::{Autopilot, Command, Refusal};
 use crate::frames::Point;
 use crate::time::Instant;
 
 /// How far the errand has come.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug)]
 enum State {
     /// Disarmed, and nobody has asked for anything else.
     Idle { after_crash: bool },
     /// As soon as the checks pass.
-    Waiting { goal: Point, said: Option<Refusal> },
+    Waiting { goal: Point, said: Vec<Discriminant<Refusal>> },
     /// Under way, done, or somebody else has taken over.
     Over,
 }
@@ -25,7 +27,7 @@ pub enum Step {
 }
 
 /// A goal given at the start.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug)]
 pub struct Errand {
     state: State,
     announced: bool,
@@ -36,7 +38,7 @@ impl Errand {
     /// nobody knows what has happened.
     pub fn new(goal: Option<Point>, after_crash: bool) -> Self {
         let state = match goal {
-            Some(goal) if !after_crash => State::Waiting { goal, said: None },
+            Some(goal) if !after_crash => State::Waiting { goal, said: Vec::new() },
             _ => State::Idle { after_crash },
         };
         Self { state, announced: false }
@@ -66,20 +68,24 @@ impl Errand {
             };
         };
         let goal = *goal;
+        let reasons = core.pre_arm(now);
+        if !reasons.is_empty() {
+            // Figures in them may change all the time.
+            let kinds: Vec<_> = reasons.iter().map(std::mem::discriminant).collect();
+            if *said == kinds {
+                return Step::Nothing;
+            }
+            *said = kinds;
+            let names: Vec<_> = reasons.iter().map(ToString::to_string).collect();
+            return Step::Said(format!("waiting to arm: {}", names.join("; ")));
+        }
         let started = core
             .handle_command(now, Command::Arm)
             .and_then(|()| core.handle_command(now, Command::Goto(goal)));
-        match started {
-            Ok(()) => {
-                self.state = State::Over;
-                Step::Said(format!("armed; driving to ({:.2}, {:.2}) m", goal.x, goal.y))
-            }
-            Err(refusal) if said.as_ref() == Some(&refusal) => Step::Nothing,
-            Err(refusal) => {
-                let text = format!("waiting to arm: {refusal}");
-                *said = Some(refusal);
-                Step::Said(text)
-            }
-        }
+        self.state = State::Over;
+        Step::Said(match started {
+            Ok(()) => format!("armed; driving to ({:.2}, {:.2}) m", goal.x, goal.y),
+            Err(refusal) => format!("not driving: {refusal}"),
+        })
     }
 }

@@ -35,10 +35,10 @@ use super::cli::RunArgs;
 use super::clock::Clock;
 use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
 use super::simulator::{core_params, planner_params};
-use super::{Exit, complain, configuration, say};
+use super::{Exit, complain, configuration, configured, say};
 use crate::autopilot::Autopilot;
 use crate::frames::Pose;
-use crate::params::{Origin, Params};
+use crate::params::Params;
 use crate::plan::Policy;
 use control::{Control, Order, Outside, Pulse, Task, Word};
 use keeper::Keeper;
@@ -69,21 +69,15 @@ pub fn run(
     out: &mut dyn Write,
 ) -> Exit {
     let log = Log::new(verbose);
+    let file = args.config.as_deref();
+    let params = match configured(file, environment, &args.set, &args.flags()) {
+        Ok(params) => params,
+        Err(exit) => return exit,
+    };
     let layers = (args.config.clone(), environment.to_vec(), args.set.clone(), args.flags());
     let load = move || {
         let (file, environment, set, flags) = &layers;
         configuration::load(file.as_deref(), environment, set, flags)
-    };
-    let params = match load() {
-        Ok(params) => params,
-        Err(faults) if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) => {
-            complain(&faults.to_string());
-            return Exit::Usage;
-        }
-        Err(faults) => {
-            complain(&format!("bad configuration\n{faults}"));
-            return Exit::Configuration;
-        }
     };
     if params.plan.policy == Policy::KnownMap {
         complain("plan.policy known-map needs the true map, which only a simulated world gives");
@@ -154,7 +148,7 @@ pub fn run(
         config: args.config.clone(),
         state_directory,
         disk_free_min: keeper::disk_free_min(&params),
-        tick_rate_hz: tick_rate_hz(&params),
+        tick_rate_hz: params.autopilot.control_rate_hz,
     };
     let control = std::thread::Builder::new()
         .name("apexd-control".into())
@@ -279,10 +273,6 @@ fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Opt
     let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
     let first = value.to_str()?.split(':').next()?;
     (!first.is_empty()).then(|| first.into())
-}
-
-fn tick_rate_hz(_params: &Params) -> f64 {
-    100.0
 }
 
 #[cfg(test)]

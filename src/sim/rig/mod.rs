@@ -5,14 +5,12 @@
 //! Planning runs in line; its answer is handed back after the latency asked for, so that age of
 //! information is not fiction.
 
-mod car_end;
 mod process;
 mod setup;
 mod snapshot;
 
 use std::collections::VecDeque;
 
-use car_end::CarEnd;
 use process::Process;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
@@ -24,6 +22,7 @@ use crate::plan::{PlanRequest, PlannerParams, Planning, StepReport};
 use crate::sim::account::Account;
 use crate::sim::bus::NodeId;
 use crate::sim::car::CarState;
+use crate::sim::car_end::CarEnd;
 use crate::sim::drive::{Outcome, PlanMark, Spread, Summary, Trace, TraceSample};
 use crate::sim::faults::FaultyBus;
 use crate::sim::judge::Judge;
@@ -48,6 +47,7 @@ pub struct Rig {
     judge: Judge,
     bus: FaultyBus,
     daemon_node: NodeId,
+    car_node: NodeId,
     core: Autopilot,
     planner: Box<dyn Planning>,
     car: CarEnd,
@@ -222,7 +222,7 @@ impl Rig {
         self.moved_m += (self.car.state().pose.position - before).norm();
         while let Some(frame) = self.car.poll_frame() {
             // A full queue loses the frame, as a real controller's would.
-            let _ = self.bus.send(end, self.car.node(), frame);
+            let _ = self.bus.send(end, self.car_node, frame);
         }
         let verdict =
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
@@ -286,7 +286,7 @@ impl Rig {
             let Some(next) = next else { break };
             self.now = self.now.max(next);
             self.bus.advance(self.now);
-            while let Some((at, frame)) = self.bus.receive(self.car.node()) {
+            while let Some((at, frame)) = self.bus.receive(self.car_node) {
                 self.car.handle_frame(at, &frame);
             }
             if self.process.is_stopped(self.now) {
