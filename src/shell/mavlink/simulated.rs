@@ -3,8 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use tokio::sync::mpsc::error::TryRecvError;
-
 use super::{End, Joined, LinkUrl, Mavlink, MavlinkError};
 use crate::autopilot::Event;
 use crate::frames::Pose;
@@ -67,11 +65,8 @@ impl Attended {
 
     /// Lets ground stations see the drive and command it.
     pub fn attend(&mut self, rig: &mut Rig) {
-        loop {
-            match self.seam.requests.try_recv() {
-                Ok(request) => self.grant(rig, request),
-                Err(TryRecvError::Empty | TryRecvError::Disconnected) => break,
-            }
+        while let Ok(request) = self.seam.requests.try_recv() {
+            self.grant(rig, request);
         }
         if self.end.load(Ordering::Relaxed) {
             rig.interrupt();
