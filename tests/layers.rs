@@ -71,6 +71,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
             "plan",
             "control",
             "guard",
+            "ground",
             "autopilot",
             "sim",
             "shell::daemon::DaemonParams",

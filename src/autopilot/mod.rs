@@ -52,6 +52,8 @@ tunables! {
         goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
         /// Time granted to a planning step: the new plan takes over this long after the request.
         plan_budget_s: f64 = 0.02, at_rest, in 0.001..=1.0, "s";
+        /// Least time between two planning requests; 0 asks for a plan after every scan.
+        plan_period_s: f64 = 0.0, at_rest, in 0.0..=10.0, "s";
         /// Time between two braking tails while driving.
         tail_period_s: f64 = 0.05, at_rest, in 0.01..=0.5, "s";
         /// Tracking error at which the car is stopped: along with pose and map errors it must stay
@@ -97,6 +99,8 @@ const REST_SPEED_MPS: f64 = 0.02;
 const RETIME_SPEED_MIN_MPS: f64 = 0.3;
 /// Largest shift at once, seconds: the period of a 20 Hz lidar.
 const RETIME_MAX_S: f64 = 0.05;
+/// A planning request may come this much before its period is over, seconds.
+const PLAN_PERIOD_SLACK_S: f64 = 0.005;
 /// A car at rest that is further than this from where it was to stand was pushed, metres.
 const PUSHED_M: f64 = 0.02;
 /// Heartbeats are sent this often, seconds.
@@ -108,6 +112,7 @@ pub struct Autopilot {
     started: Instant,
     mode: Mode,
     goal: Option<Goal>,
+    wish: Wish,
     faults: ActiveFaults,
     /// Faults whose detectors are switched off, in tests.
     suppressed: ActiveFaults,
@@ -133,6 +138,7 @@ pub struct Autopilot {
     next_tail: Instant,
     next_heartbeat: Instant,
     last_adopted: Instant,
+    next_request: Instant,
     tail_frames: Vec<CanFrame>,
     frames: VecDeque<CanFrame>,
     events: VecDeque<Event>,
@@ -147,6 +153,17 @@ struct Inputs {
     raw_scan: Option<Arc<Scan>>,
     /// Start of the car's controller that the totals belong to.
     epoch: Option<u32>,
+}
+
+/// How the goal is to be driven to, and whether anybody still listens.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wish {
+    /// A speed not to be exceeded, m/s.
+    speed_limit_mps: Option<f64>,
+    /// Through known space, if there is a way.
+    through_known: bool,
+    /// Every ground station has gone silent, and that is to stop the car.
+    station_lost: bool,
 }
 
 /// A planning step under way.
@@ -168,6 +185,7 @@ impl Autopilot {
             started: now,
             mode: Mode::Disarmed,
             goal: None,
+            wish: Wish::default(),
             faults: ActiveFaults::default(),
             suppressed: ActiveFaults::default(),
             health: Health::new(now, tick_s, params.autopilot.bus_errors_max_ps),
@@ -190,6 +208,7 @@ impl Autopilot {
             next_tail: now,
             next_heartbeat: now,
             last_adopted: now,
+            next_request: now,
             tail_frames: Vec::new(),
             frames: VecDeque::new(),
             events: VecDeque::new(),
@@ -233,6 +252,11 @@ impl Autopilot {
     /// Estimated pose and speed at `now`.
     pub fn state(&self, now: Instant) -> Option<(Pose, f64)> {
         self.localizer.pose_at(now).map(|pose| (pose, self.localizer.speed_at(now)))
+    }
+
+    /// Yaw rate by the newest odometry, rad/s, counter-clockwise; zero without any.
+    pub fn yaw_rate_rps(&self) -> f64 {
+        self.localizer.newest().map_or(0.0, |(odometry, _)| odometry.yaw_rate_rps)
     }
 
     /// The newest complete scan.
@@ -480,9 +504,12 @@ impl Autopilot {
         else {
             return;
         };
-        if self.decisive_action().is_some() {
+        if self.decisive_action().is_some() || now < self.next_request {
             return;
         }
+        // Scans come a little early or late; half a millisecond must not cost a whole scan.
+        let wait_s = (self.params.autopilot.plan_period_s - PLAN_PERIOD_SLACK_S).max(0.0);
+        self.next_request = now.offset_by(wait_s);
         self.catch_up_with_car(now);
         let number = self.take_number();
         self.in_flight = Some(InFlight { number, since: now, goal, void: false });
@@ -495,6 +522,8 @@ impl Autopilot {
             committed: Arc::clone(self.committed.newest()),
             takes_over: self.tick_from(now.offset_by(self.params.autopilot.plan_budget_s)),
             goal,
+            speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
+            through_known: self.wish.through_known,
         });
     }
 

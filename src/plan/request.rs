@@ -37,6 +37,11 @@ pub struct PlanRequest {
     pub takes_over: Instant,
     /// Where to go.
     pub goal: Goal,
+    /// A speed that is not to be exceeded, m/s, besides the one of the parameters; infinite if
+    /// there is none. It only ever makes the car slower.
+    pub speed_cap_mps: f64,
+    /// Whether the way is to lead through space that is known to be free, if there is such a way.
+    pub through_known: bool,
 }
 
 /// A certified plan.

@@ -11,6 +11,8 @@ pub use run::RunArgs;
 
 use super::car::CarRequest;
 use super::configuration::Flag;
+use super::experiment::args::ExperimentArgs;
+use super::mavlink::LinkUrl;
 use super::place::{PlaceRequest, WorldSource};
 use super::sil::SilRequest;
 use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
@@ -27,7 +29,8 @@ use crate::wire::can::Layout;
 /// Drives an RC-scale car fast and safely through places it has never seen.
 ///
 /// Exit codes: 0 done and goal reached; 1 the run failed (stuck, out of time, collision,
-/// unreachable); 2 bad usage or bad input; 78 bad configuration (file, environment or --set).
+/// unreachable); 2 bad usage or bad input; 75 a ground station asked for a restart; 78 bad
+/// configuration (file, environment or --set).
 #[derive(Debug, Parser)]
 #[command(name = "apexd", version)]
 pub struct Cli {
@@ -58,6 +61,8 @@ pub enum Command {
     Dataset(Box<DatasetArgs>),
     /// Score what predicts occupancy, on scenes that it has not seen.
     Evaluate(Box<EvaluateArgs>),
+    /// Re-run the paper's experiments, or look for unsafe drives at random.
+    Experiment(ExperimentArgs),
     /// Print the table of parameters.
     Params(ParamsArgs),
     /// Say what is wrong with a configuration file.
@@ -83,7 +88,7 @@ pub struct WorldArgs {
         long,
         value_name = "FILE.yaml",
         conflicts_with_all = ["maze", "family"],
-        requires_all = ["start", "goal"],
+        requires = "start",
         help_heading = "World"
     )]
     pub map: Option<PathBuf>,
@@ -171,6 +176,13 @@ pub struct SilArgs {
     #[arg(long, help_heading = "Simulation")]
     pub realtime: bool,
 
+    /// Let ground stations join by this MAVLink link, in real time: udpin:HOST:PORT,
+    /// udpout:HOST:PORT, tcpin:HOST:PORT, tcpout:HOST:PORT, serial:DEVICE:BAUD; may be repeated.
+    /// Without --goal the car waits for one and the drive goes on until it is interrupted. The
+    /// parameter mavlink.links is not looked at: a simulation opens nothing by itself.
+    #[arg(long, value_name = "URL", help_heading = "Simulation")]
+    pub mavlink: Vec<LinkUrl>,
+
     /// Draw what the planner foresaw this many seconds after the first motion. If not given, halfway
     /// through the drive.
     #[arg(long, value_name = "SECONDS", value_parser = not_negative, help_heading = "Output")]
@@ -234,7 +246,8 @@ impl SilArgs {
             seed: self.seed,
             latency: self.latency,
             time_limit_s: self.time_limit,
-            realtime: self.realtime,
+            realtime: self.realtime || !self.mavlink.is_empty(),
+            links: self.mavlink.clone(),
             snapshot_s: self.snapshot,
             params,
             out,
@@ -584,7 +597,7 @@ fn choice<T: Copy + Send + Sync + 'static>(
     })
 }
 
-fn family() -> impl TypedValueParser<Value = Family> {
+pub(super) fn family() -> impl TypedValueParser<Value = Family> {
     choice(Family::ALL, Family::name, Family::text)
 }
 
@@ -652,7 +665,7 @@ fn point(text: &str) -> Result<Point, String> {
     Ok(Point::new(x, y))
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| "wanted is a number above zero".to_owned())
 }
@@ -662,7 +675,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "wanted is a number of seconds, zero or more".to_owned())
 }
 
-fn latency(text: &str) -> Result<Latency, String> {
+pub(super) fn latency(text: &str) -> Result<Latency, String> {
     if text == "measured" {
         return Ok(Latency::Measured);
     }

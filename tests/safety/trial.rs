@@ -5,7 +5,7 @@ use std::sync::Arc;
 use apexd::autopilot::CoreParams;
 use apexd::frames::{Point, Pose};
 use apexd::guard::GuardParams;
-use apexd::plan::{Planner, PlannerParams, Planning, Policy};
+use apexd::plan::{Planner, PlannerParams, Planning, Policy, Reading};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
 use apexd::sim::faults::{Cut, FaultPlan, FrameFault, Harm};
 use apexd::sim::lidar::LidarParams;
@@ -28,6 +28,7 @@ pub struct Trial {
     pub start: Pose,
     pub goal: Point,
     pub policy: Policy,
+    pub reading: Reading,
     pub predictor: PredictorKind,
     pub speed_mps: f64,
     pub lidar_hz: f64,
@@ -53,6 +54,7 @@ impl Trial {
             start,
             goal,
             policy: Policy::MapPredictive,
+            reading: Reading::Direct,
             predictor: PredictorKind::None,
             speed_mps: 4.0,
             lidar_hz: 20.0,
@@ -138,6 +140,7 @@ impl Trial {
     pub fn planner_params(&self) -> PlannerParams {
         let mut params = PlannerParams::default();
         params.plan.policy = self.policy;
+        params.plan.reading = self.reading;
         params.speed.speed_max_mps = self.speed_mps;
         params
     }

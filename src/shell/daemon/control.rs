@@ -17,8 +17,9 @@ use super::worker::{Finished, PlanningParams, Worker};
 use crate::autopilot::{self, Autopilot, BusHealth, Command, Event, HostHealth, Mode};
 use crate::frames::Point;
 use crate::params::Params;
-use crate::shell::can::{BusState, Received};
-use crate::shell::simulator::{core_params, log, planner_params};
+use crate::shell::can::{BusState, Received, SendFault};
+use crate::shell::load::LoadMeter;
+use crate::shell::simulator::log;
 use crate::time::{Duration, Instant};
 use crate::wire::can::CanFrame;
 
@@ -158,6 +159,7 @@ pub struct Control<L, T, W> {
     next_errand: Instant,
     next_snapshot: Instant,
     next_line: Instant,
+    load: LoadMeter,
 }
 
 impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
@@ -199,6 +201,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             next_errand: now,
             next_snapshot: now,
             next_line: now + LINE_PERIOD,
+            load: LoadMeter::default(),
             timing,
         }
     }
@@ -393,9 +396,9 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
     }
 
     fn put_params(&mut self) {
-        self.core.set_params(core_params(&self.params));
+        self.core.set_params(self.params.core());
         self.worker.set_params(PlanningParams {
-            planner: planner_params(&self.params),
+            planner: self.params.planner(),
             predict: self.params.predict.clone(),
         });
     }
@@ -468,7 +471,9 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         }
         if now >= self.next_snapshot {
             self.next_snapshot = now + SNAPSHOT_PERIOD;
-            let snapshot = CoreSnapshot::of(&self.core, &self.params, now);
+            let mut snapshot = CoreSnapshot::of(&self.core, &self.params, now);
+            snapshot.load = self.load.measure(now);
+            snapshot.counts.error_frames = self.link.statistics().error_frames;
             self.outside.seam.snapshots.send_replace(Some(Arc::new(snapshot)));
         }
         if now >= self.next_line {
@@ -609,13 +614,17 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
     fn send(&mut self) {
         self.send_at = None;
         while let Some((since, frame)) = self.outbox.front() {
-            if self.link.try_send(frame).is_err() {
-                let now = self.timing.now();
-                if now.since(*since) <= FRAME_LIFE {
-                    self.send_at = Some(now + SEND_AGAIN);
-                    return;
+            match self.link.try_send(frame) {
+                Ok(()) => {}
+                Err(SendFault::Full) => {
+                    let now = self.timing.now();
+                    if now.since(*since) <= FRAME_LIFE {
+                        self.send_at = Some(now + SEND_AGAIN);
+                        return;
+                    }
+                    self.unsent += 1;
                 }
-                self.unsent += 1;
+                Err(_) => self.unsent += 1,
             }
             self.outbox.pop_front();
         }

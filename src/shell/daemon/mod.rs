@@ -18,21 +18,22 @@ mod worker;
 
 use std::ffi::OsString;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::runtime;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
-pub use change::ChangeRefusal;
+pub use change::{ChangeRefusal, apply as apply_change};
 pub use params::DaemonParams;
-pub use seam::{CommandRefusal, CoreSnapshot, Request, Seam};
+pub use seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request, Seam};
 
 use super::can::CanLinkError;
 use super::cli::RunArgs;
 use super::clock::Clock;
-use super::simulator::{core_params, planner_params};
+use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
 use super::{Exit, complain, configuration, configured, say};
 use crate::autopilot::Autopilot;
 use crate::frames::Pose;
@@ -84,8 +85,7 @@ pub fn run(
     if params.daemon.lock_memory {
         realtime::lock_memory();
     }
-    let planning =
-        PlanningParams { planner: planner_params(&params), predict: params.predict.clone() };
+    let planning = PlanningParams { planner: params.planner(), predict: params.predict.clone() };
     let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
         Ok(worker) => worker,
         Err(error) => {
@@ -113,7 +113,23 @@ pub fn run(
 
     let (orders, when_ordered) = mpsc::channel(ORDERS_MAX);
     let (words, when_said) = std::sync::mpsc::channel();
-    let (_seam, inner_seam) = Seam::new();
+    let (seam, inner_seam) = Seam::new();
+    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
+    let restart = Arc::new(AtomicBool::new(false));
+    let joined = Joined {
+        seam,
+        start,
+        services: Vec::new(),
+        ender: ender(orders.clone(), Arc::clone(&restart)),
+    };
+    let mavlink = match join(&params, state_directory.as_deref(), joined) {
+        Ok(mavlink) => mavlink,
+        Err(error) => {
+            complain(&error.to_string());
+            end_well(marker);
+            return Exit::Configuration;
+        }
+    };
     let pulse = Arc::new(Pulse::default());
     let outside = Outside {
         orders: when_ordered,
@@ -132,7 +148,6 @@ pub fn run(
         disk_free_min: keeper::disk_free_min(&params),
         tick_rate_hz: params.autopilot.control_rate_hz,
     };
-    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
     let control = std::thread::Builder::new()
         .name("apexd-control".into())
         .spawn(move || control_thread(params, start, worker, outside, task, orders, words));
@@ -157,7 +172,11 @@ pub fn run(
             return Exit::Failed;
         }
     };
-    let exit = exit_of(&summary, task);
+    drop(mavlink);
+    let exit = match exit_of(&summary, task) {
+        Exit::Done if restart.load(Ordering::Relaxed) => Exit::Restart,
+        exit => exit,
+    };
     if summary.outcome != "cut off" {
         end_well(marker);
     }
@@ -203,8 +222,29 @@ fn control_thread(
             }
         });
         realtime::raise_priority(params.daemon.priority);
-        let core = Autopilot::new(core_params(&params), layout, start, clock.now());
+        let core = Autopilot::new(params.core(), layout, start, clock.now());
         Ok(Control::new(core, params, link, timing, worker, outside, task).run().await)
+    })
+}
+
+/// MAVLink links, if there are to be any.
+fn join(
+    params: &Params,
+    state_directory: Option<&Path>,
+    joined: Joined,
+) -> Result<Option<Mavlink>, MavlinkError> {
+    let urls = mavlink::parse_list(&params.mavlink.links)?;
+    if urls.is_empty() {
+        return Ok(None);
+    }
+    Mavlink::start(&params.mavlink, &urls, state_directory, joined).map(Some)
+}
+
+/// Lets a ground station end the daemon, for good or to be started anew.
+fn ender(orders: mpsc::Sender<Order>, restart: Arc<AtomicBool>) -> Ender {
+    Box::new(move |how| {
+        restart.store(how == End::Restart, Ordering::Relaxed);
+        orders.try_send(Order::End).map_err(|_| "the daemon takes no more orders".to_owned())
     })
 }
 

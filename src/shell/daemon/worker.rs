@@ -293,6 +293,8 @@ mod tests {
             committed: Arc::new(Plan::standing(Instant::ZERO, pose)),
             takes_over: Instant::ZERO,
             goal: Goal { position: Point::new(1.0, 0.0), radius_m: 0.5 },
+            speed_cap_mps: f64::INFINITY,
+            through_known: false,
         }
     }
 

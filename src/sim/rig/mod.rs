@@ -16,9 +16,9 @@ pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
 pub use snapshot::Snapshot;
 
-use crate::autopilot::{Autopilot, Command, Event, Fault, Mode};
+use crate::autopilot::{Autopilot, Command, CoreParams, Event, Fault, Mode};
 use crate::frames::Point;
-use crate::plan::{PlanRequest, Planning, StepReport};
+use crate::plan::{PlanRequest, PlannerParams, Planning, StepReport};
 use crate::sim::account::Account;
 use crate::sim::bus::NodeId;
 use crate::sim::car::CarState;
@@ -146,6 +146,12 @@ impl Rig {
         }
     }
 
+    /// Takes new parameters of core and planner, as a running daemon does.
+    pub fn set_params(&mut self, core: CoreParams, planner: &PlannerParams) {
+        self.core.set_params(core);
+        self.planner.set_params(planner);
+    }
+
     /// Ends the drive early: the car comes to rest along its plan, which ends the drive as
     /// [`Outcome::Interrupted`].
     pub fn interrupt(&mut self) {
@@ -166,6 +172,11 @@ impl Rig {
     /// What the planner foresaw nearest to the time asked for, so far.
     pub fn snapshot(&self) -> Option<&Snapshot> {
         self.album.as_ref()?.chosen(self.driven_s())
+    }
+
+    /// What the planner foresaw at moments spread over the drive so far, in order.
+    pub fn snapshots(&self) -> &[Snapshot] {
+        self.album.as_ref().map_or(&[], Album::kept)
     }
 
     /// Seconds since the first motion.
@@ -369,9 +380,21 @@ impl Rig {
             self.started.get_or_insert(self.now);
             self.last_useful = self.now;
         }
-        let Some(goal) = self.goal else { return };
-        let at_goal = (state.pose.position - goal).norm() <= self.goal_radius_m;
         let waited = self.now.seconds_after(self.started.unwrap_or(Instant::ZERO));
+        let Some(goal) = self.goal else {
+            // Whoever commands the car decides where it goes and when it is there.
+            self.outcome = if contact {
+                Some(Outcome::Collision)
+            } else if self.interrupted && !moving {
+                Some(Outcome::Interrupted)
+            } else if waited > self.time_limit_s {
+                Some(Outcome::Timeout)
+            } else {
+                None
+            };
+            return;
+        };
+        let at_goal = (state.pose.position - goal).norm() <= self.goal_radius_m;
         let stands = !moving && self.now.seconds_after(self.last_useful) > STUCK_S;
         self.outcome = if contact {
             Some(Outcome::Collision)

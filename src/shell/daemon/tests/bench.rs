@@ -20,7 +20,6 @@ use crate::shell::daemon::seam::Seam;
 use crate::shell::daemon::statistics::Summary;
 use crate::shell::daemon::timing::Timing;
 use crate::shell::daemon::worker::{self, Finished, PlanningParams, Worker};
-use crate::shell::simulator::{core_params, planner_params};
 use crate::sim::account::Account;
 use crate::sim::bus::{BusParams, NodeId};
 use crate::sim::car_end::{CarEnd, CarEndSetup};
@@ -118,7 +117,10 @@ impl Link for BenchLink {
 
     fn try_send(&self, frame: &CanFrame) -> Result<(), SendFault> {
         let mut bench = self.bench.borrow_mut();
-        if bench.full || bench.gone {
+        if bench.gone {
+            return Err(SendFault::Down);
+        }
+        if bench.full {
             return Err(SendFault::Full);
         }
         let (now, node) = (bench.now, bench.daemon);
@@ -305,7 +307,7 @@ pub fn run<F: Future<Output = ()>>(
         let timing = VirtualTiming(begun);
         let news = Rc::new(Notify::new());
         let planning =
-            PlanningParams { planner: planner_params(&params), predict: params.predict.clone() };
+            PlanningParams { planner: params.planner(), predict: params.predict.clone() };
         let worker = InlineWorker {
             planner: worker::build(&planning).unwrap().planner,
             latency: Duration::from_millis(8),
@@ -324,7 +326,7 @@ pub fn run<F: Future<Output = ()>>(
             pulse: Arc::clone(&pulse),
             log_dropped: Box::new(|| 0),
         };
-        let core = Autopilot::new(core_params(&params), Layout::Fd, start, timing.now());
+        let core = Autopilot::new(params.core(), Layout::Fd, start, timing.now());
         let link = BenchLink { bench: Rc::clone(&bench), news: Rc::clone(&news) };
         let hands = Hands { bench: Rc::clone(&bench), orders, words, seam, pulse, goal: maze.goal };
         let control = Control::new(core, params, link, timing, worker, outside, task).run();
