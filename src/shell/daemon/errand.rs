@@ -4,7 +4,10 @@ use std::mem::Discriminant;
 
 use crate::autopilot::{Autopilot, Command, Refusal};
 use crate::frames::Point;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
+
+/// Between two lines about what is waited for.
+const SAY_AGAIN: Duration = Duration::from_secs(1);
 
 /// How far the errand has come.
 #[derive(Debug)]
@@ -12,7 +15,7 @@ enum State {
     /// Disarmed, and nobody has asked for anything else.
     Idle { after_crash: bool },
     /// As soon as the checks pass.
-    Waiting { goal: Point, said: Vec<Discriminant<Refusal>> },
+    Waiting { goal: Point, said: Vec<Discriminant<Refusal>>, said_at: Option<Instant> },
     /// Under way, done, or somebody else has taken over.
     Over,
 }
@@ -38,7 +41,7 @@ impl Errand {
     /// nobody knows what has happened.
     pub fn new(goal: Option<Point>, after_crash: bool) -> Self {
         let state = match goal {
-            Some(goal) if !after_crash => State::Waiting { goal, said: Vec::new() },
+            Some(goal) if !after_crash => State::Waiting { goal, said: Vec::new(), said_at: None },
             _ => State::Idle { after_crash },
         };
         Self { state, announced: false }
@@ -60,7 +63,7 @@ impl Errand {
 
     /// Does what can be done now.
     pub fn step(&mut self, core: &mut Autopilot, now: Instant) -> Step {
-        let State::Waiting { goal, said } = &mut self.state else {
+        let State::Waiting { goal, said, said_at } = &mut self.state else {
             let announced = std::mem::replace(&mut self.announced, true);
             return match self.why_disarmed().filter(|_| !announced) {
                 Some(why) => Step::Said(why.to_owned()),
@@ -72,10 +75,12 @@ impl Errand {
         if !reasons.is_empty() {
             // Figures in them may change all the time.
             let kinds: Vec<_> = reasons.iter().map(std::mem::discriminant).collect();
-            if *said == kinds {
+            // And they may come and go.
+            if *said == kinds || said_at.is_some_and(|at| now.since(at) < SAY_AGAIN) {
                 return Step::Nothing;
             }
             *said = kinds;
+            *said_at = Some(now);
             let names: Vec<_> = reasons.iter().map(ToString::to_string).collect();
             return Step::Said(format!("waiting to arm: {}", names.join("; ")));
         }

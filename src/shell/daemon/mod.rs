@@ -199,7 +199,8 @@ fn control_thread(
     words: std::sync::mpsc::Sender<Word>,
 ) -> Result<Summary, StartError> {
     let clock = Clock::start();
-    let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
+    // Without timers of the runtime: it would ask for the time at every turn.
+    let runtime = runtime::Builder::new_current_thread().enable_io().build()?;
     runtime.block_on(async {
         let layout = params.can.layout;
         let link = SocketLink::open(&params.can, clock)?;

@@ -117,7 +117,10 @@ impl Link for BenchLink {
 
     fn try_send(&self, frame: &CanFrame) -> Result<(), SendFault> {
         let mut bench = self.bench.borrow_mut();
-        if bench.full || bench.gone {
+        if bench.gone {
+            return Err(SendFault::Down);
+        }
+        if bench.full {
             return Err(SendFault::Full);
         }
         let (now, node) = (bench.now, bench.daemon);

@@ -214,7 +214,7 @@ fn what_it_waits_for_before_arming_is_said_by_name() {
     let setup = Setup::default();
     let (_, _) = run(setup, |hands| async move {
         hands.bench.borrow_mut().car.set_emergency_stop(true);
-        hands.sleep_s(0.5).await;
+        hands.sleep_s(1.6).await;
         let said: Vec<String> = hands
             .words
             .try_iter()
