@@ -10,7 +10,8 @@ impl Autopilot {
     /// # Errors
     /// Why it is not done.
     pub fn handle_command(&mut self, now: Instant, command: Command) -> Result<(), Refusal> {
-        let ends = matches!(command, Command::Disarm | Command::Terminate | Command::StationLost(_));
+        let ends =
+            matches!(command, Command::Disarm | Command::Terminate | Command::StationLost(_));
         if self.faults.contains(Fault::Terminated) && !ends {
             return Err(Refusal::Terminated);
         }

@@ -21,8 +21,7 @@ impl Autopilot {
 
     /// Whether the car stands and is not about to drive.
     pub fn is_at_rest(&self, now: Instant) -> bool {
-        let standing =
-            self.state(now).is_none_or(|(_, speed)| speed.abs() < super::REST_SPEED_MPS);
+        let standing = self.state(now).is_none_or(|(_, speed)| speed.abs() < super::REST_SPEED_MPS);
         standing && self.mode != Mode::Drive
     }
 

@@ -3,6 +3,7 @@
 
 pub mod bubbles;
 pub mod certify;
+mod fenced;
 mod foreseen;
 mod impasse;
 mod path;
@@ -15,6 +16,7 @@ pub mod speed;
 #[cfg(test)]
 mod test_paths;
 
+pub use fenced::FencePainter;
 pub use foreseen::ForeseenParams;
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
 pub use planner::{

@@ -18,7 +18,6 @@ mod worker;
 
 use std::ffi::OsString;
 use std::io::Write;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use tokio::runtime;
@@ -90,10 +89,8 @@ pub fn run(
     if params.daemon.lock_memory {
         realtime::lock_memory();
     }
-    let planning = PlanningParams {
-        planner: planner_params(&params),
-        predict: params.predict.clone(),
-    };
+    let planning =
+        PlanningParams { planner: planner_params(&params), predict: params.predict.clone() };
     let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
         Ok(worker) => worker,
         Err(error) => {
@@ -101,7 +98,7 @@ pub fn run(
             return Exit::Configuration;
         }
     };
-    let state_directory = state_directory(&params, environment);
+    let state_directory = configuration::state_directory(&params, environment);
     let marker = state_directory.as_deref().and_then(|directory| {
         Marker::set(directory)
             .inspect_err(|error| {
@@ -228,17 +225,6 @@ fn end_well(marker: Option<Marker>) {
     if let Some(Err(error)) = marker.map(Marker::remove) {
         tracing::warn!("cannot take the mark away: {error}");
     }
-}
-
-/// Where the daemon keeps what it must remember; of several directories from systemd the first.
-fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
-    let configured = &params.daemon.state_directory;
-    if !configured.is_empty() {
-        return Some(configured.into());
-    }
-    let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
-    let first = value.to_str()?.split(':').next()?;
-    (!first.is_empty()).then(|| first.into())
 }
 
 fn tick_rate_hz(_params: &Params) -> f64 {

@@ -171,8 +171,7 @@ impl Desk {
             let (request, params) = {
                 let mut orders = self.shared.orders();
                 while orders.request.is_none() && orders.params.is_none() && !orders.end {
-                    orders =
-                        self.shared.news.wait(orders).unwrap_or_else(PoisonError::into_inner);
+                    orders = self.shared.news.wait(orders).unwrap_or_else(PoisonError::into_inner);
                 }
                 if orders.end {
                     return;

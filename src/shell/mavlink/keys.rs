@@ -73,12 +73,8 @@ pub fn read_state(path: &Path) -> io::Result<SigningState> {
         read => read?,
     };
     let stored: Stored = serde_json::from_slice(&text)?;
-    let stream = |(system, component, link, timestamp)| StreamStamp {
-        system,
-        component,
-        link,
-        timestamp,
-    };
+    let stream =
+        |(system, component, link, timestamp)| StreamStamp { system, component, link, timestamp };
     Ok(SigningState {
         used_up_to: stored.used_up_to,
         streams: stored.streams.into_iter().map(stream).collect(),
@@ -93,7 +89,7 @@ pub fn write_state(path: &Path, state: &SigningState) -> io::Result<()> {
 }
 
 /// Writes a file so that it is either the old or the new one, whatever happens.
-fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.as_os_str().to_owned();
     name.push(".new");
     let new = PathBuf::from(name);

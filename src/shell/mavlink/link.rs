@@ -126,11 +126,8 @@ pub async fn open(url: &LinkUrl, inlet: Inlet) -> Result<(), LinkError> {
         }
         LinkUrl::UdpClient { host, port } => {
             let to = resolve(host, *port).await.map_err(fail)?;
-            let any: SocketAddr = if to.is_ipv4() {
-                ([0, 0, 0, 0], 0).into()
-            } else {
-                ([0_u16; 8], 0).into()
-            };
+            let any: SocketAddr =
+                if to.is_ipv4() { ([0, 0, 0, 0], 0).into() } else { ([0_u16; 8], 0).into() };
             let socket = UdpSocket::bind(any).await.map_err(fail)?;
             tokio::spawn(call_udp(Arc::new(socket), to, inlet));
         }

@@ -100,9 +100,7 @@ fn fault(fault: Fault) -> CoreFault {
 /// An event as the vehicle's side has it, if it is anything for a person.
 pub fn event(event: &Event) -> Option<CoreEvent> {
     match event {
-        Event::ModeChanged { to, .. } => {
-            Some(CoreEvent::ModeChanged { to: mode(*to, false) })
-        }
+        Event::ModeChanged { to, .. } => Some(CoreEvent::ModeChanged { to: mode(*to, false) }),
         Event::FaultRaised { fault: Fault::Terminated, .. } => {
             Some(CoreEvent::ModeChanged { to: CoreMode::Terminated })
         }
@@ -110,9 +108,7 @@ pub fn event(event: &Event) -> Option<CoreEvent> {
         Event::FaultCleared { fault: cleared, .. } => {
             Some(CoreEvent::FaultCleared(fault(*cleared)))
         }
-        Event::GoalReached { position, .. } => {
-            Some(CoreEvent::GoalReached { position: *position })
-        }
+        Event::GoalReached { position, .. } => Some(CoreEvent::GoalReached { position: *position }),
         _ => None,
     }
 }
@@ -132,6 +128,8 @@ pub const fn command(request: &CoreRequest) -> Option<Command> {
         CoreRequest::Restart
         | CoreRequest::Shutdown
         | CoreRequest::Storage(_)
+        | CoreRequest::SetParameter { .. }
+        | CoreRequest::SetFence(_)
         | CoreRequest::SigningKey(_) => return None,
     })
 }

@@ -18,7 +18,7 @@ pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
 pub use snapshot::Snapshot;
 
-use crate::autopilot::{Autopilot, CoreParams, Command, Event, Fault, Mode};
+use crate::autopilot::{Autopilot, Command, CoreParams, Event, Fault, Mode};
 use crate::frames::Point;
 use crate::plan::{PlanRequest, PlannerParams, Planning, StepReport};
 use crate::sim::account::Account;
