@@ -114,6 +114,7 @@ pub struct Ground {
     home: Option<Home>,
     unix_us: Option<(Instant, u64)>,
     next_heartbeat: Instant,
+    next_time: Instant,
     shown: Option<(c::HEARTBEAT_DATA, c::CURRENT_MODE_DATA)>,
     /// Ground stations and when each was heard last.
     stations: BTreeMap<(u8, u8), Instant>,
@@ -139,6 +140,7 @@ impl Ground {
             home: None,
             unix_us: None,
             next_heartbeat: Instant::ZERO,
+            next_time: Instant::ZERO,
             shown: None,
             stations: BTreeMap::new(),
             station_lost: false,
@@ -180,6 +182,7 @@ impl Ground {
         // Whoever comes sees the vehicle at once.
         self.next_heartbeat = now;
         self.out.note_rate(id, info.bytes_per_s);
+        self.next_time = now;
         self.channels.open(now, id, info)
     }
 
@@ -338,6 +341,7 @@ impl Ground {
 
     /// Time has passed; does what is due.
     pub fn handle_time(&mut self, now: Instant) {
+        self.next_time = now + if self.channels.count() > 0 { TICK } else { HEARTBEAT_PERIOD };
         self.commander.handle_time(now, &mut self.out);
         for service in &mut self.services {
             service.handle_time(now, &mut self.out);
@@ -359,11 +363,10 @@ impl Ground {
     // ---- outputs
 
     /// When [`handle_time`](Self::handle_time) is due next.
-    pub fn poll_at(&self, now: Instant) -> Instant {
+    pub fn poll_at(&self) -> Instant {
         let services = self.services.iter().filter_map(|service| service.poll_at());
-        let earliest = services.chain(self.commander.poll_at()).min();
-        let tick = if self.channels.count() > 0 { now + TICK } else { now + HEARTBEAT_PERIOD };
-        earliest.map_or(tick, |at| at.min(tick))
+        let own = services.chain(self.commander.poll_at()).min();
+        own.map_or(self.next_time, |at| at.min(self.next_time))
     }
 
     /// The next message to send.
@@ -420,7 +423,7 @@ impl Ground {
                 let id = wanted.whole(1, 0xFF_FFFF)?;
                 let ours = telemetry::knows(id)
                     || self.services.iter().any(|service| service.message(id).is_some());
-                if id == c::AVAILABLE_MODES_DATA::ID {
+                if id == c::AVAILABLE_MODES_DATA::ID && !wanted.params[1].is_nan() {
                     let count = Mode::all(self.params.identity).len() as u32;
                     wanted.whole(2, count)?;
                 }
@@ -441,8 +444,9 @@ impl Ground {
         let auto = match wanted.command {
             MavCmd::MAV_CMD_DO_SET_MODE => {
                 let (main, sub) = (wanted.params[1], wanted.params[2]);
+                let custom = wanted.params[0] as u32 & 1 == 1;
                 let sub = if sub.is_nan() { 0.0 } else { sub };
-                Mode::of_command(main as u32, sub as u32) == Ok(Mode::Auto)
+                custom && Mode::of_command(main as u32, sub as u32) == Ok(Mode::Auto)
             }
             MavCmd::MAV_CMD_DO_SET_STANDARD_MODE => {
                 Mode::of_standard(wanted.params[0] as u32) == Some(Mode::Auto)

@@ -232,6 +232,20 @@ fn heartbeats_come_each_second_at_once_on_a_change_and_only_while_the_core_is_al
 }
 
 #[test]
+fn its_time_comes_however_much_else_happens() {
+    let mut talk = Talk::new();
+    talk.ground.handle_time(talk.now);
+    let due = talk.ground.poll_at();
+    for _ in 0..100 {
+        talk.now = talk.now.offset_by(0.001);
+        talk.hear(&station_heartbeat());
+        talk.look();
+    }
+    assert_eq!(talk.ground.poll_at(), due);
+    assert!(due.seconds_after(talk.now) < 0.0);
+}
+
+#[test]
 fn a_failsafe_shows_in_heartbeat_mode_and_words() {
     let mut talk = Talk::new();
     talk.ack(MavCmd::MAV_CMD_DO_SET_MODE, [1.0, 15.0, 0.0, 0.0, 0.0, 0.0, 0.0]);

@@ -21,7 +21,8 @@ use crate::tunable::{Field, Value};
 /// Drives an RC-scale car fast and safely through places it has never seen.
 ///
 /// Exit codes: 0 done and goal reached; 1 the run failed (stuck, out of time, collision,
-/// unreachable); 2 bad usage or bad input; 78 bad configuration (file, environment or --set).
+/// unreachable); 2 bad usage or bad input; 75 a ground station asked for a restart; 78 bad
+/// configuration (file, environment or --set).
 #[derive(Debug, Parser)]
 #[command(name = "apexd", version)]
 pub struct Cli {

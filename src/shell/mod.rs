@@ -41,6 +41,8 @@ pub enum Exit {
     Failed = 1,
     /// Bad usage or bad input.
     Usage = 2,
+    /// Ended in order to be started anew (`EX_TEMPFAIL`): a service manager takes it for a failure.
+    Restart = 75,
     /// Bad configuration: file, environment or `--set` (`EX_CONFIG` of sysexits.h).
     Configuration = 78,
 }

@@ -18,6 +18,7 @@ use crate::autopilot::{Autopilot, Command, Event, Mode};
 use crate::frames::Point;
 use crate::params::Params;
 use crate::shell::can::{BusState, Received};
+use crate::shell::load::LoadMeter;
 use crate::shell::simulator::{core_params, log, planner_params};
 use crate::time::{Duration, Instant};
 use crate::wire::can::CanFrame;
@@ -156,6 +157,7 @@ pub struct Control<L, T, W> {
     next_errand: Instant,
     next_snapshot: Instant,
     next_line: Instant,
+    load: LoadMeter,
 }
 
 impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
@@ -196,6 +198,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             next_errand: now,
             next_snapshot: now,
             next_line: now + LINE_PERIOD,
+            load: LoadMeter::default(),
             timing,
         }
     }
@@ -449,7 +452,9 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         }
         if now >= self.next_snapshot {
             self.next_snapshot = now + SNAPSHOT_PERIOD;
-            let snapshot = CoreSnapshot::of(&self.core, &self.params, now);
+            let mut snapshot = CoreSnapshot::of(&self.core, &self.params, now);
+            snapshot.load = self.load.measure(now);
+            snapshot.counts.error_frames = self.link.statistics().error_frames;
             self.outside.seam.snapshots.send_replace(Some(Arc::new(snapshot)));
         }
         if now >= self.next_line {

@@ -18,7 +18,9 @@ mod worker;
 
 use std::ffi::OsString;
 use std::io::Write;
+use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::runtime;
 use tokio::signal::unix::{SignalKind, signal};
@@ -31,6 +33,7 @@ pub use seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request, Seam};
 use super::can::CanLinkError;
 use super::cli::RunArgs;
 use super::clock::Clock;
+use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
 use super::simulator::{core_params, planner_params};
 use super::{Exit, complain, configuration, say};
 use crate::autopilot::Autopilot;
@@ -118,7 +121,23 @@ pub fn run(
 
     let (orders, when_ordered) = mpsc::channel(ORDERS_MAX);
     let (words, when_said) = std::sync::mpsc::channel();
-    let (_seam, inner_seam) = Seam::new();
+    let (seam, inner_seam) = Seam::new();
+    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
+    let restart = Arc::new(AtomicBool::new(false));
+    let joined = Joined {
+        seam,
+        start,
+        services: mavlink::services(&params, state_directory.as_deref()),
+        ender: ender(orders.clone(), Arc::clone(&restart)),
+    };
+    let mavlink = match join(&params, state_directory.as_deref(), joined) {
+        Ok(mavlink) => mavlink,
+        Err(error) => {
+            complain(&error.to_string());
+            end_well(marker);
+            return Exit::Configuration;
+        }
+    };
     let pulse = Arc::new(Pulse::default());
     let outside = Outside {
         orders: when_ordered,
@@ -137,7 +156,6 @@ pub fn run(
         disk_free_min: keeper::disk_free_min(&params),
         tick_rate_hz: tick_rate_hz(&params),
     };
-    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
     let control = std::thread::Builder::new()
         .name("apexd-control".into())
         .spawn(move || control_thread(params, start, worker, outside, task, orders, words));
@@ -162,7 +180,11 @@ pub fn run(
             return Exit::Failed;
         }
     };
-    let exit = exit_of(&summary, task);
+    drop(mavlink);
+    let exit = match exit_of(&summary, task) {
+        Exit::Done if restart.load(Ordering::Relaxed) => Exit::Restart,
+        exit => exit,
+    };
     if summary.outcome != "cut off" {
         end_well(marker);
     }
@@ -209,6 +231,27 @@ fn control_thread(
         realtime::raise_priority(params.daemon.priority);
         let core = Autopilot::new(core_params(&params), layout, start, clock.now());
         Ok(Control::new(core, params, link, timing, worker, outside, task).run().await)
+    })
+}
+
+/// MAVLink links, if there are to be any.
+fn join(
+    params: &Params,
+    state_directory: Option<&Path>,
+    joined: Joined,
+) -> Result<Option<Mavlink>, MavlinkError> {
+    let urls = mavlink::parse_list(&params.mavlink.links)?;
+    if urls.is_empty() {
+        return Ok(None);
+    }
+    Mavlink::start(&params.mavlink, &urls, state_directory, joined).map(Some)
+}
+
+/// Lets a ground station end the daemon, for good or to be started anew.
+fn ender(orders: mpsc::Sender<Order>, restart: Arc<AtomicBool>) -> Ender {
+    Box::new(move |how| {
+        restart.store(how == End::Restart, Ordering::Relaxed);
+        orders.try_send(Order::End).map_err(|_| "the daemon takes no more orders".to_owned())
     })
 }
 

@@ -133,8 +133,9 @@ impl Hub {
         let mut snapshots = self.seam.snapshots.clone();
         let mut control_alive = true;
         self.note_clock();
+        self.store(false);
         loop {
-            let due = self.clock.deadline(self.ground.poll_at(self.clock.now()));
+            let due = self.clock.deadline(self.ground.poll_at());
             tokio::select! {
                 _ = &mut stop => break,
                 Some(arrival) = arrivals.recv() => {
@@ -175,8 +176,9 @@ impl Hub {
                     self.ground.handle_time(self.clock.now());
                 }
             }
-            self.give();
+            // No signature leaves that is not accounted for.
             self.store(false);
+            self.give();
         }
         self.store(true);
     }
