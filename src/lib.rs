@@ -13,6 +13,7 @@ pub mod autopilot;
 pub mod command;
 pub mod control;
 pub mod experiment;
+pub mod fence;
 pub mod frames;
 pub mod ground;
 pub mod guard;

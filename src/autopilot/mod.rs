@@ -11,6 +11,7 @@ mod committed;
 mod document;
 mod event;
 mod failsafe;
+mod fence;
 mod health;
 mod mode;
 mod reconfigure;
@@ -27,6 +28,7 @@ pub use mode::Mode;
 
 use crate::command::ForceSetpoint;
 use crate::control::{ControlParams, Tracker, TrackingError, braking_tail};
+use crate::fence::Fence;
 use crate::frames::Pose;
 use crate::guard::{Guard, GuardCounts, GuardParams};
 use crate::localize::{ClockMap, Localizer};
@@ -34,7 +36,7 @@ use crate::map::{CellRect, Grid, MapParams, Mapper};
 use crate::odometry::Reading;
 use crate::plan::certify::{CertifyParams, recertify};
 use crate::plan::speed::{SpeedLimits, SpeedParams};
-use crate::plan::{Goal, Path, Plan, PlanRequest, StepReport, Verdict, shorten};
+use crate::plan::{FencePainter, Goal, Path, Plan, PlanRequest, StepReport, Verdict, shorten};
 use crate::scan::{Odometry, Scan};
 use crate::time::Instant;
 use crate::tunables;
@@ -144,6 +146,8 @@ pub struct Autopilot {
     events: VecDeque<Event>,
     statistics: Statistics,
     last_error: TrackingError,
+    fence: Arc<Fence>,
+    painter: FencePainter,
 }
 
 /// The newest of everything that comes in.
@@ -216,6 +220,8 @@ impl Autopilot {
             events: VecDeque::new(),
             statistics: Statistics::default(),
             last_error: TrackingError::default(),
+            fence: Arc::default(),
+            painter: FencePainter::default(),
             params,
         }
     }
@@ -557,6 +563,7 @@ impl Autopilot {
             takes_over: self.tick_from(now.offset_by(self.params.autopilot.plan_budget_s)),
             goal,
             speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
+            fence: Arc::clone(&self.fence),
             through_known: self.wish.through_known,
         });
     }
@@ -587,23 +594,28 @@ impl Autopilot {
         self.last_error.along_m = 0.0;
     }
 
-    /// A beam ended in space that was known to be free: looks at the plan under way again, and
+    /// A beam ended in space that was known to be free, or the fence is another one: looks at the
+    /// plan under way again, and
     /// shortens it if it no longer passes.
     fn certify_again(&mut self, now: Instant) {
         let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
-        if let Some(next) = self.committed.next()
-            && recertify(&next.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
-        {
+        let fenced = self.fenced_grid(now);
+        let grid = fenced.as_ref().unwrap_or_else(|| self.mapper.grid());
+        let next_fails = self
+            .committed
+            .next()
+            .is_some_and(|next| recertify(&next.trajectory, 0.0, grid, radius_m).is_err());
+        if next_fails {
             self.committed.drop_next();
         }
         let current = &self.committed.current().trajectory;
         let elapsed = now.seconds_after(current.start).max(0.0);
-        if recertify(current, elapsed, self.mapper.grid(), radius_m).is_ok() {
+        if recertify(current, elapsed, grid, radius_m).is_ok() {
             return;
         }
         self.statistics.plans_revoked += 1;
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
-        match shorten(current, now, self.mapper.grid(), radius_m, &limits) {
+        match shorten(current, now, grid, radius_m, &limits) {
             Some(trajectory) => {
                 let number = self.take_number();
                 let scan_stamp = self.committed.current().scan_stamp;

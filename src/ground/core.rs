@@ -5,9 +5,11 @@
 
 use std::sync::Arc;
 
+use crate::fence::Fence;
 use crate::frames::{Point, Pose};
 use crate::scan::Scan;
 use crate::time::Instant;
+use crate::tunable::Value;
 
 /// What the core is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -202,6 +204,15 @@ pub enum CoreRequest {
     Shutdown,
     /// Do something with the parameters as a whole.
     Storage(StorageAction),
+    /// Give a parameter another value, in force if its class allows that now.
+    SetParameter {
+        /// `section.name`.
+        key: String,
+        /// The value.
+        value: Value,
+    },
+    /// Let the car drive only there.
+    SetFence(Arc<Fence>),
     /// Keep and use this key for signatures.
     SigningKey([u8; 32]),
 }
@@ -222,6 +233,8 @@ impl std::fmt::Debug for CoreRequest {
             Self::Restart => f.write_str("Restart"),
             Self::Shutdown => f.write_str("Shutdown"),
             Self::Storage(action) => write!(f, "Storage({action:?})"),
+            Self::SetParameter { key, value } => write!(f, "SetParameter({key} = {value})"),
+            Self::SetFence(fence) => write!(f, "SetFence({fence:?})"),
             // A key belongs in no log.
             Self::SigningKey(_) => f.write_str("SigningKey(..)"),
         }

@@ -14,9 +14,17 @@
 mod channels;
 mod commander;
 mod core;
+mod ftp;
+mod ftp_sessions;
+mod metadata;
+mod mission;
+mod mission_items;
+mod mission_run;
+mod mission_upload;
 mod modes;
 mod obstacles;
 mod outbox;
+mod parameters;
 mod places;
 mod service;
 mod settings;
@@ -29,20 +37,26 @@ pub use self::core::{
     PlanPoint, Refusal, RefusalKind, StorageAction,
 };
 pub use channels::{CHANNELS_MAX, ChannelInfo};
+pub use ftp::{Ftp, Shelf, ShelfEntry, ShelfFault, Volume};
+pub use metadata::{METADATA_PATH, Metadata};
+pub use mission::Mission;
 pub use modes::{Mode, ModeFault};
 pub use outbox::{ChannelId, Outbox, Peer, RequestId, To};
-pub use service::Service;
+pub use parameters::{KEPT as KEPT_PARAMETERS, Parameters};
+pub use service::{Keeper, Service};
 pub use settings::{Identity, KeySetup, MavlinkParams, StationLost, Unsigned};
 pub use streams::{Interval, IntervalFault};
 pub use wanted::{Denial, Step, Wanted};
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use channels::Channels;
 use commander::{Commander, Scope, acknowledge_raw};
 use telemetry::Facts;
 
 use crate::frames::Point;
+use crate::params::Params;
 use crate::time::{Duration, Instant};
 use crate::wire::mavlink::common::{
     self as c, MavCmd, MavMessage, MavProtocolCapability, MavResult, MavSeverity, MavType,
@@ -154,12 +168,20 @@ impl Ground {
         self.params.battery_full_v = params.battery_full_v;
     }
 
+    /// All parameters in force, for the services.
+    pub fn handle_params(&mut self, params: &Arc<Params>) {
+        for service in &mut self.services {
+            service.handle_params(params);
+        }
+    }
+
     // ---- inputs
 
     /// A remote end appeared; says whether there is room for it.
     pub fn handle_channel_open(&mut self, now: Instant, id: ChannelId, info: ChannelInfo) -> bool {
         // Whoever comes sees the vehicle at once.
         self.next_heartbeat = now;
+        self.out.note_rate(id, info.bytes_per_s);
         self.next_time = now;
         self.channels.open(now, id, info)
     }
@@ -167,6 +189,7 @@ impl Ground {
     /// A remote end is gone.
     pub fn handle_channel_closed(&mut self, id: ChannelId) {
         self.channels.close(id);
+        self.out.note_rate(id, None);
     }
 
     /// The time of day, microseconds since 1970.
@@ -254,6 +277,9 @@ impl Ground {
         let start = view.start;
         self.home
             .get_or_insert(Home { position: start.position, heading_rad: Some(start.heading_rad) });
+        if self.view.is_none() {
+            self.tell_origin(now);
+        }
         let mode = self.commander.mode();
         for service in &mut self.services {
             service.handle_core(now, &view, mode, &mut self.out);
@@ -536,8 +562,18 @@ impl Ground {
         }
     }
 
+    /// The origin, to the services.
+    fn tell_origin(&mut self, now: Instant) {
+        if let Some(origin) = &self.origin {
+            for service in &mut self.services {
+                service.handle_origin(now, origin, &mut self.out);
+            }
+        }
+    }
+
     /// Origin and home, to everybody.
     fn show_places(&mut self, now: Instant) {
+        self.tell_origin(now);
         let Some((_, view)) = &self.view else { return };
         let facts = facts!(self, view, now);
         for id in [c::GPS_GLOBAL_ORIGIN_DATA::ID, c::HOME_POSITION_DATA::ID] {

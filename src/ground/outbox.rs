@@ -1,6 +1,6 @@
 //! What leaves: messages for ground stations and wishes for the core, both in bounded queues.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use super::core::CoreRequest;
 use crate::wire::mavlink::common::{self, MavMessage, MavSeverity};
@@ -57,6 +57,8 @@ pub struct Outbox {
     next_request: u64,
     next_text: u16,
     dropped: u64,
+    /// What channels can carry, where that is little, bytes a second.
+    rates: BTreeMap<ChannelId, f64>,
 }
 
 impl Outbox {
@@ -125,6 +127,21 @@ impl Outbox {
     /// Messages that found the queue full.
     pub const fn dropped(&self) -> u64 {
         self.dropped
+    }
+
+    /// What a channel can carry, bytes a second, where that is little.
+    pub fn note_rate(&mut self, channel: ChannelId, bytes_per_s: Option<f64>) {
+        match bytes_per_s {
+            Some(rate) => self.rates.insert(channel, rate),
+            None => self.rates.remove(&channel),
+        };
+    }
+
+    /// Bytes a second that a long transfer may send on a channel: half of what it can carry.
+    pub fn transfer_rate(&self, channel: ChannelId) -> f64 {
+        /// On channels that carry a lot; bounds the work, and the other side's too.
+        const PLENTY: f64 = 200_000.0;
+        self.rates.get(&channel).map_or(PLENTY, |rate| 0.5 * rate)
     }
 
     /// Room left for messages: long transfers wait for it.

@@ -1,12 +1,15 @@
 //! What every service beside the vehicle itself looks like: parameters, missions, files.
 
+use std::sync::Arc;
+
 use super::core::{CoreEvent, CoreView, Refusal};
 use super::modes::Mode;
 use super::outbox::{Outbox, Peer, RequestId};
 use super::wanted::{Denial, Step, Wanted};
+use crate::params::Params;
 use crate::time::Instant;
-use crate::wire::mavlink::RawBody;
 use crate::wire::mavlink::common::{MavMessage, MavProtocolCapability};
+use crate::wire::mavlink::{Origin, RawBody};
 
 /// A service. It is handed everything that concerns this vehicle and picks what is its own.
 pub trait Service: Send {
@@ -29,6 +32,12 @@ pub trait Service: Send {
 
     /// The core as it is now, with the mode that was chosen.
     fn handle_core(&mut self, _now: Instant, _view: &CoreView, _mode: Mode, _out: &mut Outbox) {}
+
+    /// The parameters in force; also when nothing has changed.
+    fn handle_params(&mut self, _params: &Arc<Params>) {}
+
+    /// Where on the earth the map lies, when that has been said.
+    fn handle_origin(&mut self, _now: Instant, _origin: &Origin, _out: &mut Outbox) {}
 
     /// Something happened in the core.
     fn handle_event(&mut self, _now: Instant, _event: &CoreEvent, _mode: Mode, _out: &mut Outbox) {}
@@ -66,4 +75,13 @@ pub trait Service: Send {
     fn message(&self, _id: u32) -> Option<MavMessage> {
         None
     }
+}
+
+/// Keeps texts over a restart, each under a name.
+pub trait Keeper: Send {
+    /// Keeps a text instead of what was kept under that name, all of it or nothing.
+    ///
+    /// # Errors
+    /// Why it cannot be kept, for a person.
+    fn keep(&mut self, name: &str, text: &str) -> Result<(), String>;
 }

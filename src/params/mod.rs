@@ -6,10 +6,12 @@
 
 pub mod document;
 mod fault;
+mod ids;
 mod layers;
 
 pub use fault::{Fault, Faults, Origin, Problem};
-pub use layers::{ENVIRONMENT_PREFIX, Layers};
+pub use ids::{ID_LENGTH, id_of, ids};
+pub use layers::{ENVIRONMENT_PREFIX, Layers, kept_text};
 
 use crate::autopilot::CoreParams;
 use crate::plan::PlannerParams;

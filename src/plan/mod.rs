@@ -3,6 +3,7 @@
 
 pub mod bubbles;
 pub mod certify;
+mod fenced;
 mod foreseen;
 mod impasse;
 mod path;
@@ -16,6 +17,7 @@ pub mod speed;
 mod test_paths;
 mod visibility;
 
+pub use fenced::FencePainter;
 pub use foreseen::ForeseenParams;
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
 pub use planner::{

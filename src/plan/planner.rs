@@ -10,10 +10,13 @@
 //! where the new plan takes over, where the car can have slowed down to turning speed, and where
 //! the committed plan stops. The first branch whose plan passes every check is taken.
 
+use std::sync::Arc;
+
 use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
     clear_length_m, last_escapable,
 };
+use super::fenced::FencePainter;
 use super::foreseen::{Foreseen, ForeseenParams, ShapeField};
 use super::impasse::{Courage, Impasses};
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
@@ -160,6 +163,7 @@ pub const SHORTEST_PLAN_M: f64 = 0.02;
 pub struct Planner {
     params: PlannerParams,
     predictor: Supervised,
+    painter: FencePainter,
     clock: Stopwatch,
     occupied: DistanceField,
     blocked: DistanceField,
@@ -221,6 +225,7 @@ impl Planner {
         Self {
             params,
             predictor: Supervised::new(predictor),
+            painter: FencePainter::default(),
             clock,
             occupied: DistanceField::new(Blocking::Occupied, FIELD_CAP_M),
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, FIELD_CAP_M),
@@ -245,7 +250,9 @@ impl Planner {
         let mut times = StepTimes::default();
         let started = (self.clock)();
         let mut candidates = 0;
-        let verdict = self.verdict(request, &mut times, &mut candidates);
+        let fenced = self.fenced(request);
+        let asked = fenced.as_ref().unwrap_or(request);
+        let verdict = self.verdict(asked, request, &mut times, &mut candidates);
         times.total = (self.clock)().saturating_sub(started);
         let prediction = self.predictor.report();
         times.predict = prediction.spent;
@@ -260,9 +267,23 @@ impl Planner {
         }
     }
 
+    /// The request with the fence drawn into its grid; `None` if it is as it came.
+    fn fenced(&mut self, request: &PlanRequest) -> Option<PlanRequest> {
+        let goal = Some(request.goal.position);
+        let (painted, is_new) = self.painter.paint(&request.grid, &request.fence, goal);
+        if painted.is_none() && !is_new {
+            return None;
+        }
+        let grid = painted.map_or_else(|| Arc::clone(&request.grid), Arc::new);
+        let changed = if is_new { grid.bounds() } else { request.changed };
+        Some(PlanRequest { grid, changed, ..request.clone() })
+    }
+
+    /// `seen` is the request without a fence in its grid.
     fn verdict(
         &mut self,
         request: &PlanRequest,
+        seen: &PlanRequest,
         times: &mut StepTimes,
         candidates: &mut u32,
     ) -> Verdict {
@@ -270,15 +291,16 @@ impl Planner {
         self.impasses.begin(request.goal.position);
         self.tracks.follow(request);
         // A planner that is new to a drive under way has seen nothing of the map yet.
-        let changed = if self.first { request.grid.bounds() } else { request.changed };
-        self.first = false;
+        let first = std::mem::take(&mut self.first);
+        let changed = |of: &PlanRequest| if first { of.grid.bounds() } else { of.changed };
+        let (changed, scene_changed) = (changed(request), changed(seen));
         self.update_fields(request, changed);
         times.field = lap.take(&self.clock);
         let scene = Scene {
-            grid: &request.grid,
+            grid: &seen.grid,
             pose: request.scan_pose,
             goal: request.goal.position,
-            changed,
+            changed: scene_changed,
         };
         self.predictor.observe(&scene, &self.clock);
 

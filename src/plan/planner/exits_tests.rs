@@ -62,6 +62,7 @@ fn request(grid: Grid, start: Pose, goal: Point) -> PlanRequest {
         goal: Goal { position: goal, radius_m: 0.5 },
         speed_cap_mps: f64::INFINITY,
         through_known: false,
+        fence: Default::default(),
     }
 }
 

@@ -360,6 +360,12 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
                 }
                 let _ = reply.send(answer.map(drop));
             }
+            Request::SetFence { fence, reply } => {
+                let now = self.timing.now();
+                self.core.set_fence(now, fence);
+                self.fetch(now);
+                let _ = reply.send(());
+            }
         }
     }
 

@@ -18,7 +18,7 @@ mod worker;
 
 use std::ffi::OsString;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -93,7 +93,7 @@ pub fn run(
             return Exit::Configuration;
         }
     };
-    let state_directory = state_directory(&params, environment);
+    let state_directory = configuration::state_directory(&params, environment);
     let marker = state_directory.as_deref().and_then(|directory| {
         Marker::set(directory)
             .inspect_err(|error| {
@@ -119,7 +119,7 @@ pub fn run(
     let joined = Joined {
         seam,
         start,
-        services: Vec::new(),
+        services: mavlink::services(&params, state_directory.as_deref()),
         ender: ender(orders.clone(), Arc::clone(&restart)),
     };
     let mavlink = match join(&params, state_directory.as_deref(), joined) {
@@ -261,17 +261,6 @@ fn end_well(marker: Option<Marker>) {
     if let Some(Err(error)) = marker.map(Marker::remove) {
         tracing::warn!("cannot take the mark away: {error}");
     }
-}
-
-/// Where the daemon keeps what it must remember; of several directories from systemd the first.
-fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
-    let configured = &params.daemon.state_directory;
-    if !configured.is_empty() {
-        return Some(configured.into());
-    }
-    let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
-    let first = value.to_str()?.split(':').next()?;
-    (!first.is_empty()).then(|| first.into())
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use tokio::sync::{broadcast, mpsc, oneshot, watch};
 use super::change::ChangeRefusal;
 use crate::autopilot::{ActiveFaults, Autopilot, Command, Event, Mode, Refusal};
 use crate::command::CarStatus;
+use crate::fence::Fence;
 use crate::frames::Pose;
 use crate::params::Params;
 use crate::plan::{Goal, Plan};
@@ -44,6 +45,13 @@ pub enum Request {
         value: Value,
         /// What came of it.
         reply: oneshot::Sender<Result<(), ChangeRefusal>>,
+    },
+    /// Another fence.
+    SetFence {
+        /// Where the car may drive.
+        fence: Arc<Fence>,
+        /// It is in force.
+        reply: oneshot::Sender<()>,
     },
 }
 

@@ -295,6 +295,7 @@ mod tests {
             goal: Goal { position: Point::new(1.0, 0.0), radius_m: 0.5 },
             speed_cap_mps: f64::INFINITY,
             through_known: false,
+            fence: Default::default(),
         }
     }
 

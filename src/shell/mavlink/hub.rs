@@ -17,7 +17,7 @@ use crate::ground::{
     COMPONENT, ChannelId, CoreRequest, Ground, Peer, Refusal, RefusalKind, RequestId, To, Unsigned,
 };
 use crate::shell::clock::Clock;
-use crate::shell::daemon::{Request, Seam};
+use crate::shell::daemon::{ChangeRefusal, Request, Seam};
 use crate::time::{Duration, Instant};
 use crate::wire::mavlink::common::RADIO_STATUS_DATA;
 use crate::wire::mavlink::{Body, Header, MessageData, Parser, Signing, encode};
@@ -166,6 +166,7 @@ impl Hub {
                     let snapshot = snapshots.borrow_and_update().clone();
                     if let Some(snapshot) = snapshot.filter(|_| control_alive) {
                         self.ground.set_params(&snapshot.params.mavlink);
+                        self.ground.handle_params(&snapshot.params);
                         let view = view::view(&snapshot, self.start);
                         self.ground.handle_core(self.clock.now(), view);
                     }
@@ -290,6 +291,22 @@ impl Hub {
 
     /// Passes a wish on; an answer that is known at once is returned.
     fn ask(&mut self, id: RequestId, request: CoreRequest) -> Option<Result<(), Refusal>> {
+        let request = match request {
+            CoreRequest::SetParameter { key, value } => {
+                let (reply, answer) = oneshot::channel();
+                return self.pass(id, Request::SetParameter { key, value, reply }, async {
+                    let refused = |refusal: ChangeRefusal| Refusal::failed(refusal.to_string());
+                    answer.await.ok().map(|answer| answer.map_err(refused))
+                });
+            }
+            CoreRequest::SetFence(fence) => {
+                let (reply, answer) = oneshot::channel();
+                return self.pass(id, Request::SetFence { fence, reply }, async {
+                    answer.await.ok().map(Ok)
+                });
+            }
+            other => other,
+        };
         let Some(command) = view::command(&request) else {
             return Some(self.do_oneself(request));
         };
@@ -305,6 +322,26 @@ impl Hub {
                 let driving =
                     snapshots.borrow().as_ref().is_some_and(|core| core.mode == Mode::Drive);
                 let _ = replies.send((id, view::answer(command, driving, answer)));
+            }
+        });
+        None
+    }
+
+    /// Passes a wish on to the control loop; its answer comes later.
+    fn pass(
+        &self,
+        id: RequestId,
+        request: Request,
+        answer: impl Future<Output = Option<Result<(), Refusal>>> + Send + 'static,
+    ) -> Option<Result<(), Refusal>> {
+        if self.seam.requests.try_send(request).is_err() {
+            let reason = "the control loop takes no more commands";
+            return Some(Err(Refusal::new(RefusalKind::Temporary, reason)));
+        }
+        let replies = self.replies.clone();
+        tokio::spawn(async move {
+            if let Some(answer) = answer.await {
+                let _ = replies.send((id, answer));
             }
         });
         None

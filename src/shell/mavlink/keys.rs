@@ -89,7 +89,7 @@ pub fn write_state(path: &Path, state: &SigningState) -> io::Result<()> {
 }
 
 /// Writes a file so that it is either the old or the new one, whatever happens.
-fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut name = path.as_os_str().to_owned();
     name.push(".new");
     let new = PathBuf::from(name);

@@ -4,6 +4,8 @@
 mod hub;
 mod keys;
 mod link;
+mod services;
+mod shelf;
 mod simulated;
 mod url;
 mod view;
@@ -19,6 +21,7 @@ use tokio::sync::{mpsc, oneshot};
 pub use hub::{End, Ender};
 pub use keys::KeyError;
 pub use link::LinkError;
+pub use services::services;
 pub use simulated::Attended;
 pub use url::{LinkUrl, UrlError, parse_list};
 

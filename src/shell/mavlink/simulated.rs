@@ -3,10 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use super::{End, Joined, LinkUrl, Mavlink, MavlinkError};
+use super::{End, Joined, LinkUrl, Mavlink, MavlinkError, services};
 use crate::autopilot::Event;
 use crate::frames::Pose;
 use crate::params::Params;
+use crate::shell::configuration;
 use crate::shell::daemon::{CoreSnapshot, InnerSeam, Request, Seam, apply_change};
 use crate::shell::load::LoadMeter;
 use crate::sim::rig::Rig;
@@ -31,13 +32,14 @@ impl Attended {
     /// # Errors
     /// If one of them, or the key, cannot be opened.
     pub fn start(params: &Params, urls: &[LinkUrl], start: Pose) -> Result<Self, MavlinkError> {
+        let state_directory = configuration::state_directory(params, &[]);
         let (outer, seam) = Seam::new();
         let end = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&end);
         let joined = Joined {
             seam: outer,
             start,
-            services: Vec::new(),
+            services: services(params, state_directory.as_deref()),
             ender: Box::new(move |how| match how {
                 End::Shutdown => {
                     told.store(true, Ordering::Relaxed);
@@ -46,7 +48,7 @@ impl Attended {
                 End::Restart => Err("a simulated drive cannot begin anew".into()),
             }),
         };
-        let mavlink = Mavlink::start(&params.mavlink, urls, None, joined)?;
+        let mavlink = Mavlink::start(&params.mavlink, urls, state_directory.as_deref(), joined)?;
         Ok(Self {
             seam,
             params: Arc::new(params.clone()),
@@ -101,6 +103,10 @@ impl Attended {
                     rig.set_params(params.core(), &params.planner());
                 }
                 let _ = reply.send(answer.map(drop));
+            }
+            Request::SetFence { fence, reply } => {
+                rig.core_mut().set_fence(now, fence);
+                let _ = reply.send(());
             }
         }
     }

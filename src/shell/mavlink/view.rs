@@ -128,6 +128,8 @@ pub const fn command(request: &CoreRequest) -> Option<Command> {
         CoreRequest::Restart
         | CoreRequest::Shutdown
         | CoreRequest::Storage(_)
+        | CoreRequest::SetParameter { .. }
+        | CoreRequest::SetFence(_)
         | CoreRequest::SigningKey(_) => return None,
     })
 }
