@@ -136,7 +136,8 @@ proptest! {
             prop_assert_eq!(grid.get(grid.cell_at(*p)), Cell::Free);
         }
         let end = guide.points.last().copied();
-        prop_assert_eq!(end, Some(request.goal.position));
+        let missed_m = end.map(|end| (end - request.goal.position).norm());
+        prop_assert!(missed_m.is_some_and(|m| m < 1e-9), "{end:?}");
     }
 
     #[test]

@@ -312,7 +312,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             Finished::Report(report) => {
                 self.statistics.plan.note(report.times.total);
                 self.statistics.predict.note(report.times.predict);
-                self.core.handle_job_done(now, report);
+                self.core.handle_job_done(now, *report);
             }
             Finished::Lost { number, reason } => {
                 tracing::error!(number, "planning failed: {reason}");

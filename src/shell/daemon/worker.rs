@@ -17,7 +17,7 @@ const ANSWERS_MAX: usize = 8;
 #[derive(Debug)]
 pub enum Finished {
     /// It is done.
-    Report(StepReport),
+    Report(Box<StepReport>),
     /// It never will be.
     Lost {
         /// Number of its request.
@@ -205,7 +205,7 @@ impl Desk {
             let number = request.number;
             let step = catch_unwind(AssertUnwindSafe(|| self.planner.step(&request)));
             let finished = match step {
-                Ok(report) => Finished::Report(report),
+                Ok(report) => Finished::Report(Box::new(report)),
                 Err(panic) => {
                     self.renew();
                     Finished::Lost { number, reason: panic_text(&*panic) }

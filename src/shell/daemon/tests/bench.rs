@@ -182,7 +182,7 @@ impl Worker for InlineWorker {
             Trouble::Lost(at) if at == self.steps => {
                 Finished::Lost { number, reason: "on purpose".into() }
             }
-            _ => Finished::Report(self.planner.step(&request)),
+            _ => Finished::Report(Box::new(self.planner.step(&request))),
         };
         self.answer = Some((RuntimeInstant::now() + self.latency, finished));
     }

@@ -268,8 +268,8 @@ fn a_send_queue_that_is_full_for_a_moment_loses_nothing() {
 
 #[test]
 fn when_the_time_is_up_it_ends_with_the_car_at_rest() {
-    let mut setup = Setup::default();
-    setup.task = Task { time_limit_s: Some(2.0), ..Task::default() };
+    let task = Task { time_limit_s: Some(2.0), ..Task::default() };
+    let setup = Setup { task, ..Setup::default() };
     let (summary, bench) = run(setup, |_| async {});
     assert_clean(&bench.borrow());
     assert_eq!((summary.outcome, summary.goal_reached), ("timeout", false));
