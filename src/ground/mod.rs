@@ -16,6 +16,8 @@ mod commander;
 mod core;
 mod ftp;
 mod ftp_sessions;
+#[cfg(test)]
+mod lossy;
 mod metadata;
 mod mission;
 mod mission_items;

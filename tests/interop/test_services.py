@@ -1,0 +1,313 @@
+"""Parameters, missions, fences and files by pymavlink against the simulated car.
+
+Needs the release build of apexd (APEXD_BINARY names another one).
+"""
+
+import json
+import math
+import os
+import re
+import struct
+import tempfile
+import time
+import unittest
+from pathlib import Path
+
+os.environ["MAVLINK20"] = "1"
+
+from pymavlink import mavftp  # noqa: E402
+from pymavlink.dialects.v20 import all as mavlink  # noqa: E402
+
+from test_pymavlink import ACCEPTED, Station  # noqa: E402
+from vehicle import Vehicle  # noqa: E402
+
+MISSION = mavlink.MAV_MISSION_TYPE_MISSION
+FENCE = mavlink.MAV_MISSION_TYPE_FENCE
+RALLY = mavlink.MAV_MISSION_TYPE_RALLY
+DONE = mavlink.MAV_MISSION_ACCEPTED
+LOCAL = mavlink.MAV_FRAME_LOCAL_NED
+WAYPOINT = mavlink.MAV_CMD_NAV_WAYPOINT
+REAL = mavlink.MAV_PARAM_TYPE_REAL32
+INT = mavlink.MAV_PARAM_TYPE_INT32
+
+# What MAVLink's component_metadata/*.schema.json (draft 7, no further properties) ask of each entry,
+# written down by hand: property -> type. The parameter schema's `version` is left out on purpose: it
+# asks for 2 or more, and QGroundControl reads nothing but 1.
+GENERAL_ENTRY = {"type": int, "uri": str, "fileCrc": int}
+PARAMETER = {
+    "name": str, "type": str, "shortDesc": str, "longDesc": str, "units": str,
+    "default": (int, float), "decimalPlaces": int, "min": (int, float), "max": (int, float),
+    "increment": (int, float), "rebootRequired": bool, "group": str, "category": str,
+    "volatile": bool, "values": list, "bitmask": list,
+}
+TYPES = {"Uint8", "Int8", "Uint16", "Int16", "Uint32", "Int32", "Float"}
+
+
+def bytewise(value):
+    return struct.unpack("<f", struct.pack("<i", value))[0]
+
+
+def plain(message):
+    if message.param_type == INT:
+        return struct.unpack("<i", struct.pack("<f", message.param_value))[0]
+    return message.param_value
+
+
+def crc32(data):
+    """MAVLink's: reflected, nothing inverted."""
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ (0xEDB88320 if crc & 1 else 0)
+    return crc
+
+
+class Services(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.addCleanup(self.folder.cleanup)
+        self.state = Path(self.folder.name) / "state"
+        (self.state / "logs").mkdir(parents=True)
+        self.vehicle = None
+        self.addCleanup(self.stop)
+        self.start()
+
+    def start(self, *arguments):
+        self.vehicle = Vehicle(
+            self.folder.name, "--set", f"daemon.state_directory={self.state}", *arguments
+        )
+        self.station = Station(self.vehicle.port)
+
+    def stop(self):
+        self.station.link.close()
+        if self.vehicle.process.poll() is None:
+            self.vehicle.process.kill()
+        self.vehicle.process.wait()
+        self.vehicle.process.stdout.close()
+        self.vehicle.process.stderr.close()
+
+    def restart(self, *arguments):
+        self.station.link.close()
+        self.vehicle.end()
+        self.stop()
+        self.start(*arguments)
+
+    def next(self, *kinds, seconds=5.0):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            message = self.station.listen()
+            if message and message.get_type() in kinds:
+                return message
+        self.fail(f"no {kinds} within {seconds} s; heard: {self.station.texts}")
+
+    # ---- parameters
+
+    def read_all(self):
+        self.station.link.mav.param_request_list_send(1, 1)
+        values = {}
+        while True:
+            message = self.next("PARAM_VALUE")
+            values[message.param_id] = plain(message)
+            if len(values) == message.param_count:
+                return values
+
+    def set(self, name, value, kind):
+        raw = bytewise(value) if kind == INT else value
+        self.station.link.mav.param_set_send(1, 1, name.encode(), raw, kind)
+        message = self.next("PARAM_VALUE")
+        self.assertEqual(message.param_id, name)
+        return plain(message)
+
+    def test_parameters_are_read_set_kept_and_refused(self):
+        values = self.read_all()
+        self.assertGreater(len(values), 60)
+        self.assertTrue(all(len(name) <= 16 for name in values))
+        self.assertEqual(values["SPD_SPEED_MAX"], 4.0)
+        self.station.link.mav.param_request_read_send(1, 1, b"SPD_SPEED_MAX", -1)
+        self.assertEqual(plain(self.next("PARAM_VALUE")), 4.0)
+
+        self.assertEqual(self.set("SPD_SPEED_MAX", 2.5, REAL), 2.5)
+        self.assertEqual(self.set("PLAN_STOP_RULE", 1, INT), 1)
+        self.assertEqual(self.set("VEH_MASS", 3.0, REAL), 3.0)
+        self.station.await_(
+            lambda: any("next start" in text for text in self.station.texts), "a word", 2.0)
+        self.assertEqual(self.set("SPD_SPEED_MAX", 99.0, REAL), 2.5)
+        self.assertEqual(self.set("SPD_SPEED_MAX", math.nan, REAL), 2.5)
+        self.assertEqual(self.set("SPD_SPEED_MAX", 2, INT), 2.5)
+        self.station.await_(
+            lambda: any("allowed is" in text for text in self.station.texts), "a reason", 2.0)
+
+        self.restart()
+        again = self.read_all()
+        self.assertEqual(again["SPD_SPEED_MAX"], 2.5)
+        self.assertEqual(again["PLAN_STOP_RULE"], 1)
+        self.assertEqual(again["VEH_MASS"], 3.0)
+        self.assertTrue(any("speed.speed_max_mps = 2.5" in line for line in self.vehicle.log))
+
+        # The command line has the last word.
+        self.restart("--speed-max", "1.5")
+        self.assertEqual(self.read_all()["SPD_SPEED_MAX"], 1.5)
+
+    # ---- lists
+
+    def upload(self, kind, items):
+        mav = self.station.link.mav
+        mav.mission_count_send(1, 1, len(items), kind)
+        while True:
+            message = self.next("MISSION_REQUEST_INT", "MISSION_ACK")
+            if message.get_type() == "MISSION_ACK":
+                self.assertEqual(message.mission_type, kind)
+                return message.type
+            frame, command, params, x, y = items[message.seq]
+            mav.mission_item_int_send(
+                1, 1, message.seq, frame, command, 0, 1, *params, x, y, 0.0, kind)
+
+    def download(self, kind):
+        mav = self.station.link.mav
+        mav.mission_request_list_send(1, 1, kind)
+        count = self.next("MISSION_COUNT").count
+        items = []
+        for seq in range(count):
+            mav.mission_request_int_send(1, 1, seq, kind)
+            item = self.next("MISSION_ITEM_INT")
+            self.assertEqual(item.seq, seq)
+            params = (item.param1, item.param2, item.param3, item.param4)
+            items.append((item.frame, item.command, params, item.x, item.y))
+        mav.mission_ack_send(1, 1, DONE, kind)
+        return items
+
+    def goal(self, north, east, wait=0.0):
+        return (LOCAL, WAYPOINT, (wait, 0.0, 0.0, 0.0), round(north * 1e4), round(east * 1e4))
+
+    def test_a_mission_of_three_goals_is_driven(self):
+        goals = [(5.5, 4.0), (6.5, 7.0), (3.0, 11.0)]
+        items = [self.goal(*goal) for goal in goals]
+        items.insert(1, (LOCAL, mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, 1.5, -1.0, 0.0), 0, 0))
+        self.assertEqual(self.upload(MISSION, items), DONE)
+        self.assertEqual(self.download(MISSION), items)
+        # What cannot be done is refused, and what was there stays.
+        takeoff = [(LOCAL, mavlink.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0), 0, 0)]
+        self.assertEqual(self.upload(MISSION, takeoff), mavlink.MAV_MISSION_UNSUPPORTED)
+        self.assertEqual(self.upload(RALLY, takeoff), mavlink.MAV_MISSION_UNSUPPORTED)
+        self.assertEqual(self.download(MISSION), items)
+
+        station = self.station
+        self.assertNotEqual(station.long(mavlink.MAV_CMD_MISSION_START), ACCEPTED)
+        station.arm()
+        self.assertEqual(station.long(mavlink.MAV_CMD_MISSION_START), ACCEPTED)
+        reached = []
+        paused = False
+        end = time.monotonic() + 120.0
+        while len(reached) < 3:
+            self.assertLess(time.monotonic(), end, f"{reached}; {station.texts}")
+            message = station.listen()
+            if message is None:
+                continue
+            if message.get_type() == "MISSION_ITEM_REACHED":
+                reached.append(message.seq)
+                at = [goals[0], goals[1], goals[2]][len(reached) - 1]
+                self.assertLess(math.dist(station.position(), at), 0.6)
+            if reached == [0] and not paused and station.speed() > 0.8:
+                paused = True
+                self.assertEqual(station.long(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0), ACCEPTED)
+                station.await_(lambda: station.speed() < 0.02, "rest")
+                station.await_(
+                    lambda: station.last["MISSION_CURRENT"].mission_state
+                    == mavlink.MISSION_STATE_PAUSED, "pause", 3.0)
+                self.assertEqual(station.long(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1), ACCEPTED)
+        self.assertEqual(reached, [0, 2, 3])
+        self.assertTrue(paused)
+        station.await_(lambda: "Mission complete" in station.texts, "the end", 3.0)
+        station.await_(
+            lambda: station.last["MISSION_CURRENT"].mission_state
+            == mavlink.MISSION_STATE_COMPLETE, "the end", 3.0)
+
+        code, figures = self.vehicle.end()
+        self.assertEqual((code, figures["collisions"]), (0, 0))
+
+    def test_a_fence_is_driven_round_and_outlasts_a_restart(self):
+        # Across the hall but for its northern end, long before the wall.
+        def corner(north, east):
+            command = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+            return (LOCAL, command, (4.0, 0.0, 0.0, 0.0), round(north * 1e4), round(east * 1e4))
+
+        fence = [corner(-1, 4.0), corner(-1, 4.5), corner(5.5, 4.5), corner(5.5, 4.0)]
+        self.assertEqual(self.upload(FENCE, fence), DONE)
+        self.restart()
+        self.assertEqual(self.download(FENCE), fence)
+        self.assertEqual(self.download(MISSION), [])
+        station = self.station
+        station.arm()
+        self.assertEqual(station.go(3.0, 6.0), ACCEPTED)
+        crossed = []
+        end = time.monotonic() + 60.0
+        while "Goal reached" not in station.texts:
+            self.assertLess(time.monotonic(), end, station.texts)
+            message = station.listen()
+            if message and message.get_type() == "LOCAL_POSITION_NED":
+                if 3.8 < message.y < 4.7:
+                    crossed.append(message.x)
+        self.assertTrue(crossed)
+        self.assertGreater(min(crossed), 5.69)
+        station.link.mav.mission_clear_all_send(1, 1, FENCE)
+        self.assertEqual(self.next("MISSION_ACK").type, DONE)
+        self.assertEqual(self.download(FENCE), [])
+
+    # ---- files
+
+    def test_files_are_listed_and_downloaded_and_metadata_keeps_to_its_schema(self):
+        log = bytes(range(256)) * 100
+        (self.state / "logs" / "drive.log").write_bytes(log)
+        (self.state / "secret").write_text("no")
+        request = mavlink.MAV_CMD_REQUEST_MESSAGE
+        self.assertEqual(self.station.long(request, 397), ACCEPTED)
+        self.station.await_(lambda: "COMPONENT_METADATA" in self.station.last, "metadata", 3.0)
+        about = self.station.last["COMPONENT_METADATA"]
+        ftp = mavftp.MAVFTP(self.station.link, 1, 1)
+        ftp.cmd_list(["/"])
+        self.assertEqual(
+            {(entry.name, entry.is_dir) for entry in ftp.list_result},
+            {("general.json", False), ("parameters.json", False), ("logs", True)})
+        ftp.cmd_list(["/logs"])
+        self.assertEqual([(e.name, e.size_b) for e in ftp.list_result], [("drive.log", len(log))])
+
+        def get(path):
+            got = []
+            ftp.cmd_get([path], callback=lambda file: got.append(file.read()))
+            ftp.process_ftp_reply("OpenFileRO", timeout=20)
+            return got[0] if got else None
+
+        self.assertEqual(get("/logs/drive.log"), log)
+        self.assertIsNone(get("/logs/../secret"))
+
+        general_bytes = get(about.uri.removeprefix("mftp://"))
+        self.assertEqual(crc32(general_bytes), about.file_crc)
+        general = json.loads(general_bytes)
+        self.assertEqual(set(general), {"version", "metadataTypes"})
+        self.assertGreaterEqual(general["version"], 1)
+        [entry] = general["metadataTypes"]
+        for key, value in entry.items():
+            self.assertIsInstance(value, GENERAL_ENTRY[key])
+        self.assertEqual(entry["type"], 1)
+        parameter_bytes = get(entry["uri"].removeprefix("mftp://"))
+        self.assertEqual(crc32(parameter_bytes), entry["fileCrc"])
+        parameters = json.loads(parameter_bytes)
+        self.assertEqual(set(parameters), {"version", "parameters"})
+        self.assertEqual(parameters["version"], 1)
+        for row in parameters["parameters"]:
+            for key, value in row.items():
+                self.assertIsInstance(value, PARAMETER[key], (row, key))
+            self.assertRegex(row["name"], re.compile(r"^[.\-a-zA-Z0-9_{}]{1,16}$"))
+            self.assertIn(row["type"], TYPES)
+            self.assertGreaterEqual(row.get("decimalPlaces", 0), 0)
+            for value in row.get("values", []):
+                self.assertEqual(set(value), {"value", "description"})
+                self.assertIsInstance(value["value"], (int, float))
+                self.assertIsInstance(value["description"], str)
+        names = {row["name"] for row in parameters["parameters"]}
+        self.assertEqual(names, set(self.read_all()))
+
+
+if __name__ == "__main__":
+    unittest.main()
