@@ -192,6 +192,7 @@ impl RigSetup {
             lidar: Lidar::new(&self.lidar, self.seed),
             encoder: CarEncoder::new(self.layout, 0),
             decoder: CarDecoder::new(self.layout),
+            layout: self.layout,
             wheelbase_m: vehicle.wheelbase_m,
             track_m: vehicle.track_m,
             scan_rate_hz: self.lidar.rate_hz,
