@@ -14,6 +14,7 @@ pub mod command;
 pub mod control;
 pub mod experiment;
 pub mod frames;
+pub mod ground;
 pub mod guard;
 pub mod localize;
 pub mod map;

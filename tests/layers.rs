@@ -71,8 +71,10 @@ const MAY_USE: &[(&str, &[&str])] = &[
             "plan",
             "control",
             "guard",
+            "ground",
             "autopilot",
             "sim",
+            "shell::daemon::DaemonParams",
         ],
     ),
     (

@@ -10,13 +10,19 @@ impl Autopilot {
     /// # Errors
     /// Why it is not done.
     pub fn handle_command(&mut self, now: Instant, command: Command) -> Result<(), Refusal> {
+        let ends =
+            matches!(command, Command::Disarm | Command::Terminate | Command::StationLost(_));
+        if self.faults.contains(Fault::Terminated) && !ends {
+            return Err(Refusal::Terminated);
+        }
         match command {
             Command::Arm => self.arm(now)?,
             Command::Disarm => {
                 self.goal = None;
+                self.wish.speed_limit_mps = None;
                 self.transition(now, Mode::Disarmed);
             }
-            Command::Goto(position) => {
+            Command::Goto(position) | Command::Return(position) => {
                 if !(position.x.is_finite() && position.y.is_finite()) {
                     return Err(Refusal::GoalNotFinite { x_m: position.x, y_m: position.y });
                 }
@@ -25,6 +31,7 @@ impl Autopilot {
                 }
                 let radius_m = self.params.autopilot.goal_radius_m;
                 self.goal = Some(Goal { position, radius_m });
+                self.wish.through_known = matches!(command, Command::Return(_));
                 self.clear(now, Fault::GoalUnreachable);
                 self.paused = false;
                 if self.mode != Mode::Stop {
@@ -47,6 +54,18 @@ impl Autopilot {
                 }
                 self.paused = false;
                 self.begin_drive(now);
+            }
+            Command::SpeedLimit(limit) => {
+                if let Some(speed_mps) = limit.filter(|speed| !(*speed > 0.0 && speed.is_finite()))
+                {
+                    return Err(Refusal::SpeedNotPositive { speed_mps });
+                }
+                self.wish.speed_limit_mps = limit;
+            }
+            Command::StationLost(lost) => self.wish.station_lost = lost,
+            Command::Terminate => {
+                self.goal = None;
+                self.raise(now, Fault::Terminated);
             }
         }
         Ok(())
@@ -78,6 +97,7 @@ impl Autopilot {
 
     pub(super) fn begin_drive(&mut self, now: Instant) {
         self.last_adopted = now;
+        self.next_request = now;
         self.health.trust_tails(now);
         self.transition(now, Mode::Drive);
     }

@@ -64,6 +64,7 @@ The car is armed only if all of this holds; otherwise the command is refused wit
 | the CAN controller of this computer is active | |
 | the log can be written | |
 | the computer is not overloaded | as for the fault |
+| the drive was not terminated | since the start |
 | clocks, frames and bus are quiet | half a second |
 
 A missing network is no reason to stay: the planner works without, more carefully, and says so.
@@ -83,6 +84,7 @@ const fn clears_text(clears: Clears) -> &'static str {
         Clears::AtRest => "standing still",
         Clears::ByArming => "the end of its cause, and arming anew",
         Clears::ByNewGoal => "a new goal",
+        Clears::ByRestart => "the next start",
     }
 }
 

@@ -19,6 +19,16 @@ pub enum Command {
     Pause,
     /// Go on after a pause.
     Continue,
+    /// Drive to a point, map frame, through space that is known to be free, if there is such a
+    /// way.
+    Return(Point),
+    /// Do not exceed this speed, m/s, until the car is disarmed; `None`: as fast as the parameters
+    /// allow.
+    SpeedLimit(Option<f64>),
+    /// Whether every ground station has gone silent, where that is to stop the car.
+    StationLost(bool),
+    /// Brake, and stand until the next start.
+    Terminate,
 }
 
 /// Why a command was refused.
@@ -35,6 +45,15 @@ pub enum Refusal {
     /// Arm first.
     #[error("the car is not armed")]
     NotArmed,
+    /// It was ended.
+    #[error("the drive was terminated; only a restart ends that")]
+    Terminated,
+    /// A speed that is none.
+    #[error("the speed limit of {speed_mps} m/s is not a number above zero")]
+    SpeedNotPositive {
+        /// Metres per second.
+        speed_mps: f64,
+    },
     /// There is nothing to pause.
     #[error("the car is not driving")]
     NotDriving,

@@ -11,6 +11,8 @@ use super::CoreParams;
 /// Something that can go wrong while driving.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Fault {
+    /// A ground station ended the drive for good.
+    Terminated,
     /// The emergency-stop button is pressed.
     EmergencyStop,
     /// The car's controller reports that setpoints did not reach it.
@@ -43,6 +45,8 @@ pub enum Fault {
     Overload,
     /// The battery is nearly empty.
     BatteryLow,
+    /// Every ground station has gone silent.
+    StationLost,
     /// The map proves that no way to the goal exists.
     GoalUnreachable,
     /// The guard had to take over.
@@ -79,6 +83,8 @@ pub enum Clears {
     ByArming,
     /// With a new goal.
     ByNewGoal,
+    /// With the next start of the program.
+    ByRestart,
 }
 
 /// One row of the table.
@@ -164,6 +170,13 @@ pub const POSE_ERROR_MAX_M: f64 = 0.02;
 
 /// The failsafe table, in order of precedence: the first active row decides.
 pub const TABLE: &[Row] = &[
+    Row {
+        fault: Fault::Terminated,
+        detection: "a ground station ordered the termination",
+        after_s: |_| 0.0,
+        action: Action::BrakeNow,
+        clears: Clears::ByRestart,
+    },
     Row {
         fault: Fault::EmergencyStop,
         detection: "the car's status says that the button is pressed",
@@ -285,6 +298,14 @@ pub const TABLE: &[Row] = &[
         clears: Clears::ByArming,
     },
     Row {
+        fault: Fault::StationLost,
+        detection: "no ground station was heard for `mavlink.station_timeout_s`, if \
+                    `mavlink.station_lost` says that this stops the car",
+        after_s: |_| 0.0,
+        action: Action::FinishPlan,
+        clears: Clears::ByItself,
+    },
+    Row {
         fault: Fault::GoalUnreachable,
         detection: "the search exhausted all space that is not occupied",
         after_s: |p| p.autopilot.plan_budget_s,
@@ -308,7 +329,7 @@ pub const TABLE: &[Row] = &[
     Row {
         fault: Fault::NoPlan,
         detection: "no plan was adopted for 500 ms although the goal is not reached",
-        after_s: |_| PLAN_TIMEOUT_S,
+        after_s: |params| PLAN_TIMEOUT_S + params.autopilot.plan_period_s,
         action: Action::Report,
         clears: Clears::ByItself,
     },
@@ -335,7 +356,8 @@ pub fn odometry_late_s(params: &CoreParams) -> f64 {
 
 impl Fault {
     /// All of them, in the order of the table.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 24] = [
+        Self::Terminated,
         Self::EmergencyStop,
         Self::SetpointLost,
         Self::PoseLost,
@@ -352,6 +374,7 @@ impl Fault {
         Self::BusErrors,
         Self::Overload,
         Self::BatteryLow,
+        Self::StationLost,
         Self::GoalUnreachable,
         Self::GuardStop,
         Self::PlannerLate,
@@ -368,6 +391,7 @@ impl Fault {
     /// The name used in logs and documentation.
     pub const fn name(self) -> &'static str {
         match self {
+            Self::Terminated => "terminated",
             Self::EmergencyStop => "emergency stop",
             Self::SetpointLost => "setpoint lost",
             Self::PoseLost => "pose lost",
@@ -384,6 +408,7 @@ impl Fault {
             Self::BusErrors => "bus errors",
             Self::Overload => "overload",
             Self::BatteryLow => "battery low",
+            Self::StationLost => "ground station lost",
             Self::GoalUnreachable => "goal unreachable",
             Self::GuardStop => "guard stop",
             Self::PlannerLate => "planner late",

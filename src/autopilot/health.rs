@@ -273,6 +273,7 @@ impl Autopilot {
         need(health.bus.state == BusState::Active, Refusal::BusNotActive(health.bus.state));
         need(!health.host.disk_full, Refusal::DiskFull);
         need(!self.faults.contains(Fault::Overload), Refusal::Overload);
+        need(!self.faults.contains(Fault::Terminated), Refusal::Terminated);
         for fault in [Fault::ClockJump, Fault::CorruptFrames, Fault::BusErrors] {
             need(!self.faults.contains(fault), Refusal::Unsettled(fault));
         }
@@ -394,7 +395,9 @@ impl Autopilot {
         let status_at = health.status.map(|(at, _)| at);
         let scan_age_s = age_s(now, health.scan) / params.guard.scan_age_max_s;
         let job_age_s = self.in_flight.as_ref().map_or(0.0, |job| now.seconds_after(job.since));
-        let no_plan = now.seconds_after(self.last_adopted) > PLAN_TIMEOUT_S;
+        // Where plans are asked for seldom, none is late before the next one is due.
+        let no_plan_s = PLAN_TIMEOUT_S + params.autopilot.plan_period_s;
+        let no_plan = now.seconds_after(self.last_adopted) > no_plan_s;
         let low_s = health.low_battery_since.map_or(0.0, |since| now.seconds_after(since));
         let causes = [
             (Fault::ClockJump, false),
@@ -411,6 +414,7 @@ impl Autopilot {
                     || health.unsent.is_full(now),
             ),
             (Fault::Overload, health.late_ticks.is_full(now)),
+            (Fault::StationLost, self.wish.station_lost),
             (Fault::GuardStop, self.guard.stopping().is_some()),
             (Fault::PlannerLate, job_age_s > PLAN_TIMEOUT_S),
             (Fault::NoPlan, self.mode == Mode::Drive && no_plan),

@@ -13,6 +13,7 @@ mod event;
 mod failsafe;
 mod health;
 mod mode;
+mod reconfigure;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -51,6 +52,8 @@ tunables! {
         goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
         /// Time granted to a planning step: the new plan takes over this long after the request.
         plan_budget_s: f64 = 0.02, at_rest, in 0.001..=1.0, "s";
+        /// Least time between two planning requests; 0 asks for a plan after every scan.
+        plan_period_s: f64 = 0.0, at_rest, in 0.0..=10.0, "s";
         /// Time between two braking tails while driving.
         tail_period_s: f64 = 0.05, at_rest, in 0.01..=0.5, "s";
         /// Tracking error at which the car is stopped: along with pose and map errors it must stay
@@ -96,6 +99,8 @@ const REST_SPEED_MPS: f64 = 0.02;
 const RETIME_SPEED_MIN_MPS: f64 = 0.3;
 /// Largest shift at once, seconds: the period of a 20 Hz lidar.
 const RETIME_MAX_S: f64 = 0.05;
+/// A planning request may come this much before its period is over, seconds.
+const PLAN_PERIOD_SLACK_S: f64 = 0.005;
 /// A car at rest that is further than this from the end of its plan stands elsewhere, metres.
 const PUSHED_M: f64 = 0.02;
 /// Heartbeats are sent this often, seconds.
@@ -107,6 +112,7 @@ pub struct Autopilot {
     started: Instant,
     mode: Mode,
     goal: Option<Goal>,
+    wish: Wish,
     faults: ActiveFaults,
     /// Faults whose detectors are switched off, in tests.
     suppressed: ActiveFaults,
@@ -132,6 +138,7 @@ pub struct Autopilot {
     next_tail: Instant,
     next_heartbeat: Instant,
     last_adopted: Instant,
+    next_request: Instant,
     tail_frames: Vec<CanFrame>,
     frames: VecDeque<CanFrame>,
     events: VecDeque<Event>,
@@ -148,6 +155,17 @@ struct Inputs {
     epoch: Option<u32>,
 }
 
+/// How the goal is to be driven to, and whether anybody still listens.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wish {
+    /// A speed not to be exceeded, m/s.
+    speed_limit_mps: Option<f64>,
+    /// Through known space, if there is a way.
+    through_known: bool,
+    /// Every ground station has gone silent, and that is to stop the car.
+    station_lost: bool,
+}
+
 /// A planning step under way.
 struct InFlight {
     number: u32,
@@ -155,6 +173,8 @@ struct InFlight {
     goal: Goal,
     /// Its answer is not wanted any more.
     void: bool,
+    /// Beams have ended in free space since: its answer is to be looked at again.
+    outdated: bool,
 }
 
 impl Autopilot {
@@ -167,6 +187,7 @@ impl Autopilot {
             started: now,
             mode: Mode::Disarmed,
             goal: None,
+            wish: Wish::default(),
             faults: ActiveFaults::default(),
             suppressed: ActiveFaults::default(),
             health: Health::new(now, tick_s, params.autopilot.bus_errors_max_ps),
@@ -189,6 +210,7 @@ impl Autopilot {
             next_tail: now,
             next_heartbeat: now,
             last_adopted: now,
+            next_request: now,
             tail_frames: Vec::new(),
             frames: VecDeque::new(),
             events: VecDeque::new(),
@@ -232,6 +254,11 @@ impl Autopilot {
     /// Estimated pose and speed at `now`.
     pub fn state(&self, now: Instant) -> Option<(Pose, f64)> {
         self.localizer.pose_at(now).map(|pose| (pose, self.localizer.speed_at(now)))
+    }
+
+    /// Yaw rate by the newest odometry, rad/s, counter-clockwise; zero without any.
+    pub fn yaw_rate_rps(&self) -> f64 {
+        self.localizer.newest().map_or(0.0, |(odometry, _)| odometry.yaw_rate_rps)
     }
 
     /// The newest complete scan.
@@ -354,6 +381,9 @@ impl Autopilot {
         self.guard.handle_scan(&scan);
         self.inputs.raw_scan = Some(Arc::new(scan));
         if insertion.turned_occupied > 0 {
+            if let Some(job) = &mut self.in_flight {
+                job.outdated = true;
+            }
             self.certify_again(now);
         }
         self.request_plan(now);
@@ -375,21 +405,18 @@ impl Autopilot {
         match report.verdict {
             _ if !wanted => self.statistics.plans_stale += 1,
             Verdict::Plan(plan) => {
-                let welcome = self.mode == Mode::Drive && self.decisive_action().is_none();
-                if now > report.takes_over {
-                    self.statistics.plans_late += 1;
-                    self.events.push_back(Event::PlanLate { number: report.number });
-                } else if welcome && report.base == self.committed.newest().number {
-                    self.last_adopted = now;
-                    self.statistics.plans_adopted += 1;
-                    self.events.push_back(Event::PlanAdopted {
-                        number: plan.number,
-                        stop: plan.trajectory.last().path.position,
-                        length_m: plan.trajectory.last().path.s_m,
-                    });
-                    self.committed.schedule(*plan);
-                } else {
-                    self.statistics.plans_stale += 1;
+                let welcome = self.mode == Mode::Drive
+                    && self.decisive_action().is_none()
+                    && report.base == self.committed.newest().number;
+                match self.in_time(now, report.takes_over, *plan) {
+                    None => {
+                        self.statistics.plans_late += 1;
+                        self.events.push_back(Event::PlanLate { number: report.number });
+                    }
+                    Some(plan) if welcome && !(job.outdated && self.is_revoked(&plan)) => {
+                        self.adopt(now, plan);
+                    }
+                    Some(_) => self.statistics.plans_stale += 1,
                 }
             }
             Verdict::Keep => self.last_adopted = now,
@@ -401,6 +428,38 @@ impl Autopilot {
                 self.raise(now, Fault::GoalUnreachable);
             }
         }
+    }
+
+    /// The plan if it can still take over. A car that stands where a plan begins may begin late:
+    /// without that, planning that always takes longer than it is granted would never let the car
+    /// set out.
+    fn in_time(&self, now: Instant, takes_over: Instant, mut plan: Plan) -> Option<Plan> {
+        if now > takes_over {
+            let waits = self.committed.is_finished(now);
+            if !waits || plan.trajectory.points.first().is_none_or(|p| p.speed_mps > 0.0) {
+                return None;
+            }
+            plan.trajectory.start = self.tick_from(now);
+        }
+        Some(plan)
+    }
+
+    /// Whether something stands on a plan by now.
+    fn is_revoked(&self, plan: &Plan) -> bool {
+        let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
+        recertify(&plan.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
+    }
+
+    fn adopt(&mut self, now: Instant, plan: Plan) {
+        self.last_adopted = now;
+        self.statistics.plans_adopted += 1;
+        let stop = plan.trajectory.last().path;
+        self.events.push_back(Event::PlanAdopted {
+            number: plan.number,
+            stop: stop.position,
+            length_m: stop.s_m,
+        });
+        self.committed.schedule(plan);
     }
 
     /// Time has passed; does what is due.
@@ -479,12 +538,15 @@ impl Autopilot {
         else {
             return;
         };
-        if self.decisive_action().is_some() {
+        if self.decisive_action().is_some() || now < self.next_request {
             return;
         }
+        // Scans come a little early or late; half a millisecond must not cost a whole scan.
+        let wait_s = (self.params.autopilot.plan_period_s - PLAN_PERIOD_SLACK_S).max(0.0);
+        self.next_request = now.offset_by(wait_s);
         self.catch_up_with_car(now);
         let number = self.take_number();
-        self.in_flight = Some(InFlight { number, since: now, goal, void: false });
+        self.in_flight = Some(InFlight { number, since: now, goal, void: false, outdated: false });
         self.job = Some(PlanRequest {
             number,
             grid: self.mapper.snapshot(),
@@ -494,6 +556,8 @@ impl Autopilot {
             committed: Arc::clone(self.committed.newest()),
             takes_over: self.tick_from(now.offset_by(self.params.autopilot.plan_budget_s)),
             goal,
+            speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
+            through_known: self.wish.through_known,
         });
     }
 

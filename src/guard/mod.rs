@@ -162,6 +162,15 @@ impl Guard {
         }
     }
 
+    /// Takes new limits; what was seen and proved stays.
+    pub fn set_params(&mut self, vehicle: &VehicleParams, params: &GuardParams) {
+        self.params = params.clone();
+        self.radius_m = vehicle.radius_m;
+        self.mass_kg = vehicle.mass_kg;
+        self.accel_limit_mps2 = vehicle.acceleration_limit_mps2();
+        self.curvature_limit_pm = vehicle.curvature_limit_pm();
+    }
+
     /// Takes up an odometry reading.
     pub fn handle_odometry(&mut self, odometry: &Odometry) {
         if self.track.push(odometry) == Reading::Restarted {

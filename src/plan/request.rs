@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::certify::Violation;
-use super::{Path, Trajectory};
+use super::{Path, PlannerParams, Trajectory};
 use crate::frames::{Point, Pose};
 use crate::map::{CellRect, Grid};
 use crate::predict::{OccupancyView, PredictReport};
@@ -37,6 +37,11 @@ pub struct PlanRequest {
     pub takes_over: Instant,
     /// Where to go.
     pub goal: Goal,
+    /// A speed that is not to be exceeded, m/s, besides the one of the parameters; infinite if
+    /// there is none. It only ever makes the car slower.
+    pub speed_cap_mps: f64,
+    /// Whether the way is to lead through space that is known to be free, if there is such a way.
+    pub through_known: bool,
 }
 
 /// A certified plan.
@@ -136,6 +141,9 @@ pub struct StepReport {
 pub trait Planning: Send {
     /// Answers one request.
     fn step(&mut self, request: &PlanRequest) -> StepReport;
+
+    /// Takes new parameters, in force from the next step on.
+    fn set_params(&mut self, _params: &PlannerParams) {}
 
     /// What the newest step knew of the unknown, to be shown; `None` if there is nothing to show.
     fn view(&mut self) -> Option<Box<dyn OccupancyView + '_>> {

@@ -2,17 +2,24 @@
 //! shows while it lasts, and what it leaves behind.
 
 pub mod can;
+pub mod car;
 pub mod cli;
 pub mod clock;
 mod configuration;
+pub mod daemon;
 mod dataset;
 mod evaluate;
+mod experiment;
 mod folder;
+mod load;
+pub mod mavlink;
 mod pace;
+pub mod place;
 mod progress;
 pub mod report;
 pub mod sil;
 mod simulator;
+mod watch;
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -21,9 +28,9 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
-use crate::params::{Origin, document};
+use crate::params::{Origin, Params, document};
 use crate::sim::drive::Outcome;
-use cli::{CheckArgs, Cli, Command, MazeArgs, ParamsArgs, SilArgs};
+use cli::{CarArgs, CheckArgs, Cli, Command, MazeArgs, ParamsArgs, SilArgs};
 use progress::Terminal;
 use sil::{RunError, Simulator};
 use simulator::RigSimulator;
@@ -38,6 +45,8 @@ pub enum Exit {
     Failed = 1,
     /// Bad usage or bad input.
     Usage = 2,
+    /// Ended in order to be started anew (`EX_TEMPFAIL`): a service manager takes it for a failure.
+    Restart = 75,
     /// Bad configuration: file, environment or `--set` (`EX_CONFIG` of sysexits.h).
     Configuration = 78,
 }
@@ -52,6 +61,10 @@ impl From<Exit> for ExitCode {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let environment: Vec<(OsString, OsString)> = std::env::vars_os().collect();
+    // The daemon has a log of its own.
+    if let Command::Run(args) = &cli.command {
+        return daemon::run(args, &environment, cli.verbose, &mut std::io::stdout()).into();
+    }
     let terminal = Terminal::new(cli.verbose);
     execute(&cli, &environment, &RigSimulator, &terminal, &mut std::io::stdout()).into()
 }
@@ -66,9 +79,12 @@ fn execute(
 ) -> Exit {
     match &cli.command {
         Command::Sil(args) => drive(args, environment, simulator, terminal, out),
+        Command::Run(args) => daemon::run(args, environment, cli.verbose, out),
+        Command::Car(args) => car(args, environment, out),
         Command::Maze(args) => maze(args, simulator, out),
         Command::Dataset(args) => dataset::run(args, terminal, out),
         Command::Evaluate(args) => evaluate::run(args, terminal, out),
+        Command::Experiment(args) => experiment::run(args, terminal, out),
         Command::Params(args) => params(*args, out),
         Command::Check(args) => check(args, out),
     }
@@ -82,16 +98,9 @@ fn drive(
     out: &mut dyn Write,
 ) -> Exit {
     let file = args.config.as_deref();
-    let params = match configuration::load(file, environment, &args.set, &args.flags()) {
+    let params = match configured(file, environment, &args.set, &args.flags()) {
         Ok(params) => params,
-        Err(faults) if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) => {
-            complain(&faults.to_string());
-            return Exit::Usage;
-        }
-        Err(faults) => {
-            complain(&format!("bad configuration\n{faults}"));
-            return Exit::Configuration;
-        }
+        Err(exit) => return exit,
     };
     let folder = match folder::prepare(args.out.as_deref()) {
         Ok(folder) => folder,
@@ -126,7 +135,49 @@ fn drive(
         complain(&error.to_string());
         return Exit::Failed;
     }
-    if summary.outcome == Outcome::Goal { Exit::Done } else { Exit::Failed }
+    let done = match summary.outcome {
+        Outcome::Goal => true,
+        // Nothing was asked of the drive itself.
+        Outcome::Interrupted => request.is_attended(),
+        _ => false,
+    };
+    if done { Exit::Done } else { Exit::Failed }
+}
+
+fn car(args: &CarArgs, environment: &[(OsString, OsString)], out: &mut dyn Write) -> Exit {
+    let file = args.config.as_deref();
+    let params = match configured(file, environment, &args.set, &args.flags()) {
+        Ok(params) => params,
+        Err(exit) => return exit,
+    };
+    let end = match car::drive(&args.request(params)) {
+        Ok(end) => end,
+        Err(error) => return refuse(&error),
+    };
+    if args.json {
+        say(out, &serde_json::to_string(&end).expect("a summary is plain data"));
+    } else {
+        say(out, &end.text());
+    }
+    if end.summary.outcome == Outcome::Goal { Exit::Done } else { Exit::Failed }
+}
+
+/// The parameters of a run, or how it ends because they are bad.
+fn configured(
+    file: Option<&Path>,
+    environment: &[(OsString, OsString)],
+    set: &[String],
+    flags: &[configuration::Flag],
+) -> Result<Params, Exit> {
+    configuration::load(file, environment, set, flags).map_err(|faults| {
+        if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) {
+            complain(&faults.to_string());
+            Exit::Usage
+        } else {
+            complain(&format!("bad configuration\n{faults}"));
+            Exit::Configuration
+        }
+    })
 }
 
 fn maze(args: &MazeArgs, simulator: &dyn Simulator, out: &mut dyn Write) -> Exit {

@@ -205,6 +205,7 @@ impl Play {
                 must!(self.rig.car().pose == place, "moves without being told to");
                 Ok(())
             }
+            Clears::ByRestart => Err("nothing clears it".into()),
             Clears::ByNewGoal => Err("say which goal: expect_cleared_by".into()),
         }
     }

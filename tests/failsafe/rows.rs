@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use apexd::autopilot::{BusHealth, BusState, Fault, HostHealth, Refusal};
+use apexd::autopilot::{BusHealth, BusState, Command, Fault, HostHealth, Refusal};
 use apexd::frames::{Point, Pose};
 use apexd::plan::Verdict;
 use apexd::sim::faults::Harm;
@@ -463,6 +463,35 @@ fn predictor_missing(play: &mut Play) -> Outcome {
     play.expect_cleared(0.0)
 }
 
+/// A command ends the drive for good.
+fn terminated(play: &mut Play) -> Outcome {
+    play.get_going(3.0)?;
+    let now = play.rig.now();
+    let ordered = play.rig.core_mut().handle_command(now, Command::Terminate);
+    must!(ordered.is_ok(), "refused: {ordered:?}");
+    let raised = play.expect_raised(0.0)?;
+    play.expect_action(raised)?;
+    play.expect_rest(1.0)?;
+    must!(play.arm() == Err(Refusal::Terminated), "armed all the same");
+    play.expect_rest(0.5)
+}
+
+/// What the ground-station service finds out comes as a command.
+fn station_lost(play: &mut Play) -> Outcome {
+    play.get_going(3.0)?;
+    let now = play.rig.now();
+    let told = play.rig.core_mut().handle_command(now, Command::StationLost(true));
+    must!(told.is_ok(), "refused: {told:?}");
+    let raised = play.expect_raised(0.0)?;
+    play.expect_action(raised)?;
+    play.expect_rest(1.0)?;
+    let now = play.rig.now();
+    let told = play.rig.core_mut().handle_command(now, Command::StationLost(false));
+    must!(told.is_ok(), "refused: {told:?}");
+    play.expect_cleared(0.0)?;
+    play.expect_drive()
+}
+
 fn disk_full(play: &mut Play) -> Outcome {
     play.get_going(2.0)?;
     let now = play.rig.now();
@@ -478,6 +507,7 @@ fn disk_full(play: &mut Play) -> Outcome {
 
 #[rustfmt::skip]
 pub const SCENARIOS: &[Scenario] = &[
+    Scenario { name: "a ground station ends it", fault: Fault::Terminated, rig: plain, script: terminated },
     Scenario { name: "the button is pressed", fault: Fault::EmergencyStop, rig: plain, script: emergency_stop },
     Scenario { name: "setpoints do not reach the car", fault: Fault::SetpointLost, rig: |_| without(SETPOINT, CAR, 1.0), script: setpoint_lost },
     Scenario { name: "the controller restarts", fault: Fault::PoseLost, rig: plain, script: restarted_controller },
@@ -500,6 +530,7 @@ pub const SCENARIOS: &[Scenario] = &[
     Scenario { name: "frames cannot be sent", fault: Fault::BusErrors, rig: plain, script: frames_unsent },
     Scenario { name: "ticks are late", fault: Fault::Overload, rig: plain, script: overload },
     Scenario { name: "the battery runs low", fault: Fault::BatteryLow, rig: plain, script: battery_low },
+    Scenario { name: "no ground station is heard", fault: Fault::StationLost, rig: plain, script: station_lost },
     Scenario { name: "a wall right across", fault: Fault::GoalUnreachable, rig: divided, script: goal_unreachable },
     Scenario { name: "a planner without regard", fault: Fault::GuardStop, rig: reckless, script: guard_stop },
     Scenario { name: "the planner hangs", fault: Fault::PlannerLate, rig: plain, script: planner_late },

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use apexd::autopilot::{AutopilotParams, CoreParams};
 use apexd::frames::{Point, Pose};
 use apexd::guard::GuardParams;
-use apexd::plan::{Planner, PlannerParams, Planning, Policy};
+use apexd::plan::{Planner, PlannerParams, Planning, Policy, Reading};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
 use apexd::sim::car::CarParams;
 use apexd::sim::faults::{Cut, FaultPlan, FrameFault, Harm};
@@ -29,6 +29,7 @@ pub struct Trial {
     pub start: Pose,
     pub goal: Point,
     pub policy: Policy,
+    pub reading: Reading,
     pub predictor: PredictorKind,
     pub speed_mps: f64,
     pub lidar_hz: f64,
@@ -57,6 +58,7 @@ impl Trial {
             start,
             goal,
             policy: Policy::MapPredictive,
+            reading: Reading::Direct,
             predictor: PredictorKind::None,
             speed_mps: 4.0,
             lidar_hz: 20.0,
@@ -152,6 +154,7 @@ impl Trial {
     pub fn planner_params(&self) -> PlannerParams {
         let mut params = PlannerParams::default();
         params.plan.policy = self.policy;
+        params.plan.reading = self.reading;
         params.speed.speed_max_mps = self.speed_mps;
         params
     }
@@ -186,11 +189,19 @@ impl Trial {
     }
 
     fn rig_to(&self, goal: Option<Point>, planning: Box<dyn Planning>) -> Rig {
+        let setup = RigSetup { goal, ..self.setup_with(planning) };
+        let mut rig = Rig::new(setup).expect("start and goal are free");
+        rig.keep_reports();
+        rig
+    }
+
+    /// What that is made of.
+    pub fn setup_with(&self, planning: Box<dyn Planning>) -> RigSetup {
         let planner = self.planner_params();
-        let setup = RigSetup {
+        RigSetup {
             world: self.world.clone(),
             start: self.start,
-            goal,
+            goal: Some(self.goal),
             core: CoreParams {
                 autopilot: AutopilotParams {
                     control_rate_hz: self.control_rate_hz,
@@ -217,9 +228,6 @@ impl Trial {
             time_limit_s: self.time_limit_s,
             stopwatch: Box::new(|| Duration::ZERO),
             planning: Some(planning),
-        };
-        let mut rig = Rig::new(setup).expect("start and goal are free");
-        rig.keep_reports();
-        rig
+        }
     }
 }

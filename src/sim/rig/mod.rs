@@ -5,25 +5,24 @@
 //! Planning runs in line; its answer is handed back after the latency asked for, so that age of
 //! information is not fiction.
 
-mod car_end;
 mod process;
 mod setup;
 mod snapshot;
 
 use std::collections::VecDeque;
 
-use car_end::CarEnd;
 use process::Process;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
 pub use snapshot::Snapshot;
 
-use crate::autopilot::{Autopilot, Command, Event, Fault, Mode};
+use crate::autopilot::{Autopilot, Command, CoreParams, Event, Fault, Mode};
 use crate::frames::Point;
-use crate::plan::{PlanRequest, Planning, StepReport};
+use crate::plan::{PlanRequest, PlannerParams, Planning, StepReport};
 use crate::sim::account::Account;
 use crate::sim::bus::NodeId;
 use crate::sim::car::CarState;
+use crate::sim::car_end::CarEnd;
 use crate::sim::drive::{Outcome, PlanMark, Spread, Summary, Trace, TraceSample};
 use crate::sim::faults::FaultyBus;
 use crate::sim::judge::Judge;
@@ -48,6 +47,7 @@ pub struct Rig {
     judge: Judge,
     bus: FaultyBus,
     daemon_node: NodeId,
+    car_node: NodeId,
     core: Autopilot,
     planner: Box<dyn Planning>,
     car: CarEnd,
@@ -146,6 +146,12 @@ impl Rig {
         }
     }
 
+    /// Takes new parameters of core and planner, as a running daemon does.
+    pub fn set_params(&mut self, core: CoreParams, planner: &PlannerParams) {
+        self.core.set_params(core);
+        self.planner.set_params(planner);
+    }
+
     /// Ends the drive early: the car comes to rest along its plan, which ends the drive as
     /// [`Outcome::Interrupted`].
     pub fn interrupt(&mut self) {
@@ -166,6 +172,11 @@ impl Rig {
     /// What the planner foresaw nearest to the time asked for, so far.
     pub fn snapshot(&self) -> Option<&Snapshot> {
         self.album.as_ref()?.chosen(self.driven_s())
+    }
+
+    /// What the planner foresaw at moments spread over the drive so far, in order.
+    pub fn snapshots(&self) -> &[Snapshot] {
+        self.album.as_ref().map_or(&[], Album::kept)
     }
 
     /// Seconds since the first motion.
@@ -216,7 +227,7 @@ impl Rig {
         self.moved_m += (self.car.state().pose.position - before).norm();
         while let Some(frame) = self.car.poll_frame() {
             // A full queue loses the frame, as a real controller's would.
-            let _ = self.bus.send(end, self.car.node(), frame);
+            let _ = self.bus.send(end, self.car_node, frame);
         }
         let verdict =
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
@@ -280,7 +291,7 @@ impl Rig {
             let Some(next) = next else { break };
             self.now = self.now.max(next);
             self.bus.advance(self.now);
-            while let Some((at, frame)) = self.bus.receive(self.car.node()) {
+            while let Some((at, frame)) = self.bus.receive(self.car_node) {
                 self.car.handle_frame(at, &frame);
             }
             if self.process.is_stopped(self.now) {
@@ -370,9 +381,21 @@ impl Rig {
             self.started.get_or_insert(self.now);
             self.last_useful = self.now;
         }
-        let Some(goal) = self.goal else { return };
-        let at_goal = (state.pose.position - goal).norm() <= self.goal_radius_m;
         let waited = self.now.seconds_after(self.started.unwrap_or(Instant::ZERO));
+        let Some(goal) = self.goal else {
+            // Whoever commands the car decides where it goes and when it is there.
+            self.outcome = if contact {
+                Some(Outcome::Collision)
+            } else if self.interrupted && !moving {
+                Some(Outcome::Interrupted)
+            } else if waited > self.time_limit_s {
+                Some(Outcome::Timeout)
+            } else {
+                None
+            };
+            return;
+        };
+        let at_goal = (state.pose.position - goal).norm() <= self.goal_radius_m;
         let stands = !moving && self.now.seconds_after(self.last_useful) > STUCK_S;
         self.outcome = if contact {
             Some(Outcome::Collision)

@@ -1,0 +1,278 @@
+//! `apexd run`: the daemon. A control thread owns core and bus, a planning thread plans, this one
+//! keeps house.
+
+mod change;
+mod control;
+mod errand;
+mod histogram;
+mod keeper;
+mod link;
+mod log;
+mod marker;
+mod params;
+mod realtime;
+mod seam;
+mod statistics;
+mod timing;
+mod worker;
+
+use std::ffi::OsString;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use tokio::runtime;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::mpsc;
+
+pub use change::{ChangeRefusal, apply as apply_change};
+pub use params::DaemonParams;
+pub use seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request, Seam};
+
+use super::can::CanLinkError;
+use super::cli::RunArgs;
+use super::clock::Clock;
+use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
+use super::{Exit, complain, configuration, configured, say};
+use crate::autopilot::Autopilot;
+use crate::frames::Pose;
+use crate::params::Params;
+use crate::plan::Policy;
+use control::{Control, Order, Outside, Pulse, Task, Word};
+use keeper::Keeper;
+use link::SocketLink;
+use log::Log;
+use marker::Marker;
+use statistics::Summary;
+use timing::MonotonicTiming;
+use worker::{PlanningParams, ThreadWorker};
+
+/// Orders that may wait.
+const ORDERS_MAX: usize = 16;
+
+/// Why the daemon did not begin.
+#[derive(Debug, thiserror::Error)]
+enum StartError {
+    #[error(transparent)]
+    Link(#[from] CanLinkError),
+    #[error("cannot set up the control thread: {0}")]
+    System(#[from] std::io::Error),
+}
+
+/// Runs the daemon to its end.
+pub fn run(
+    args: &RunArgs,
+    environment: &[(OsString, OsString)],
+    verbose: u8,
+    out: &mut dyn Write,
+) -> Exit {
+    let log = Log::new(verbose);
+    let file = args.config.as_deref();
+    let params = match configured(file, environment, &args.set, &args.flags()) {
+        Ok(params) => params,
+        Err(exit) => return exit,
+    };
+    let layers = (args.config.clone(), environment.to_vec(), args.set.clone(), args.flags());
+    let load = move || {
+        let (file, environment, set, flags) = &layers;
+        configuration::load(file.as_deref(), environment, set, flags)
+    };
+    if params.plan.policy == Policy::KnownMap {
+        complain("plan.policy known-map needs the true map, which only a simulated world gives");
+        return Exit::Configuration;
+    }
+    if params.daemon.lock_memory {
+        realtime::lock_memory();
+    }
+    let planning = PlanningParams { planner: params.planner(), predict: params.predict.clone() };
+    let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
+        Ok(worker) => worker,
+        Err(error) => {
+            complain(&error.to_string());
+            return Exit::Configuration;
+        }
+    };
+    let state_directory = state_directory(&params, environment);
+    let marker = state_directory.as_deref().and_then(|directory| {
+        Marker::set(directory)
+            .inspect_err(|error| {
+                tracing::warn!("cannot leave a mark in {}: {error}", directory.display());
+            })
+            .ok()
+    });
+    let task = Task {
+        goal: args.goal,
+        until_goal: args.until_goal,
+        time_limit_s: args.time_limit,
+        after_crash: marker.as_ref().is_some_and(|marker| marker.after_crash),
+    };
+    if task.after_crash {
+        tracing::warn!("previous run ended unexpectedly; disarmed");
+    }
+
+    let (orders, when_ordered) = mpsc::channel(ORDERS_MAX);
+    let (words, when_said) = std::sync::mpsc::channel();
+    let (seam, inner_seam) = Seam::new();
+    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
+    let restart = Arc::new(AtomicBool::new(false));
+    let joined = Joined {
+        seam,
+        start,
+        services: Vec::new(),
+        ender: ender(orders.clone(), Arc::clone(&restart)),
+    };
+    let mavlink = match join(&params, state_directory.as_deref(), joined) {
+        Ok(mavlink) => mavlink,
+        Err(error) => {
+            complain(&error.to_string());
+            end_well(marker);
+            return Exit::Configuration;
+        }
+    };
+    let pulse = Arc::new(Pulse::default());
+    let outside = Outside {
+        orders: when_ordered,
+        seam: inner_seam,
+        words: words.clone(),
+        pulse: Arc::clone(&pulse),
+        log_dropped: Box::new(log.dropped()),
+    };
+    let keeper = Keeper {
+        orders: orders.clone(),
+        words: when_said,
+        pulse,
+        load: Box::new(load),
+        config: args.config.clone(),
+        state_directory,
+        disk_free_min: keeper::disk_free_min(&params),
+        tick_rate_hz: params.autopilot.control_rate_hz,
+    };
+    let control = std::thread::Builder::new()
+        .name("apexd-control".into())
+        .spawn(move || control_thread(params, start, worker, outside, task, orders, words));
+    let control = match control {
+        Ok(control) => control,
+        Err(error) => {
+            complain(&StartError::from(error).to_string());
+            return Exit::Failed;
+        }
+    };
+    keeper.run();
+    let summary = match control.join() {
+        Ok(Ok(summary)) => summary,
+        Ok(Err(error)) => {
+            complain(&error.to_string());
+            // Nothing has moved.
+            end_well(marker);
+            return Exit::Failed;
+        }
+        Err(panic) => {
+            complain(&format!("the control thread failed: {}", worker::panic_text(&*panic)));
+            return Exit::Failed;
+        }
+    };
+    drop(mavlink);
+    let exit = match exit_of(&summary, task) {
+        Exit::Done if restart.load(Ordering::Relaxed) => Exit::Restart,
+        exit => exit,
+    };
+    if summary.outcome != "cut off" {
+        end_well(marker);
+    }
+    tracing::info!("{} after {:.1} s", summary.outcome, summary.time_s);
+    drop(log);
+    if args.json {
+        say(out, &serde_json::to_string(&summary).expect("a summary is plain data"));
+    }
+    exit
+}
+
+/// The control thread, from the socket to the last setpoint.
+fn control_thread(
+    params: Params,
+    start: Pose,
+    worker: ThreadWorker,
+    outside: Outside,
+    task: Task,
+    orders: mpsc::Sender<Order>,
+    words: std::sync::mpsc::Sender<Word>,
+) -> Result<Summary, StartError> {
+    let clock = Clock::start();
+    // Without timers of the runtime: it would ask for the time at every turn.
+    let runtime = runtime::Builder::new_current_thread().enable_io().build()?;
+    runtime.block_on(async {
+        let layout = params.can.layout;
+        let link = SocketLink::open(&params.can, clock)?;
+        let timing = MonotonicTiming::new(clock)?;
+        let mut terminate = signal(SignalKind::terminate())?;
+        let mut interrupt = signal(SignalKind::interrupt())?;
+        let mut hang_up = signal(SignalKind::hangup())?;
+        tokio::spawn(async move {
+            loop {
+                tokio::select! {
+                    _ = terminate.recv() => {}
+                    _ = interrupt.recv() => {}
+                    _ = hang_up.recv() => {
+                        let _ = words.send(Word::Reload);
+                        continue;
+                    }
+                }
+                let _ = orders.send(Order::End).await;
+            }
+        });
+        realtime::raise_priority(params.daemon.priority);
+        let core = Autopilot::new(params.core(), layout, start, clock.now());
+        Ok(Control::new(core, params, link, timing, worker, outside, task).run().await)
+    })
+}
+
+/// MAVLink links, if there are to be any.
+fn join(
+    params: &Params,
+    state_directory: Option<&Path>,
+    joined: Joined,
+) -> Result<Option<Mavlink>, MavlinkError> {
+    let urls = mavlink::parse_list(&params.mavlink.links)?;
+    if urls.is_empty() {
+        return Ok(None);
+    }
+    Mavlink::start(&params.mavlink, &urls, state_directory, joined).map(Some)
+}
+
+/// Lets a ground station end the daemon, for good or to be started anew.
+fn ender(orders: mpsc::Sender<Order>, restart: Arc<AtomicBool>) -> Ender {
+    Box::new(move |how| {
+        restart.store(how == End::Restart, Ordering::Relaxed);
+        orders.try_send(Order::End).map_err(|_| "the daemon takes no more orders".to_owned())
+    })
+}
+
+fn exit_of(summary: &Summary, task: Task) -> Exit {
+    let missed = task.goal.is_some() && !summary.goal_reached;
+    match summary.outcome {
+        "planner lost" => Exit::Failed,
+        "timeout" if missed => Exit::Failed,
+        _ => Exit::Done,
+    }
+}
+
+fn end_well(marker: Option<Marker>) {
+    if let Some(Err(error)) = marker.map(Marker::remove) {
+        tracing::warn!("cannot take the mark away: {error}");
+    }
+}
+
+/// Where the daemon keeps what it must remember; of several directories from systemd the first.
+fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
+    let configured = &params.daemon.state_directory;
+    if !configured.is_empty() {
+        return Some(configured.into());
+    }
+    let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
+    let first = value.to_str()?.split(':').next()?;
+    (!first.is_empty()).then(|| first.into())
+}
+
+#[cfg(test)]
+mod tests;
