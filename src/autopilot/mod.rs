@@ -103,7 +103,7 @@ const RETIME_SPEED_MIN_MPS: f64 = 0.3;
 const RETIME_MAX_S: f64 = 0.05;
 /// A planning request may come this much before its period is over, seconds.
 const PLAN_PERIOD_SLACK_S: f64 = 0.005;
-/// A car at rest that is further than this from where it was to stand was pushed, metres.
+/// A car at rest that is further than this from the end of its plan stands elsewhere, metres.
 const PUSHED_M: f64 = 0.02;
 /// Heartbeats are sent this often, seconds.
 const HEARTBEAT_PERIOD_S: f64 = 0.1;
@@ -671,7 +671,7 @@ impl Autopilot {
 
     /// The mode that the active faults call for.
     fn settle_mode(&mut self, now: Instant, state: Option<(Pose, f64)>, standing: bool) {
-        if standing && self.mode == Mode::Stop && self.is_pose_trusted() {
+        if standing && self.mode == Mode::Stop && self.is_pose_trusted(true) {
             for fault in self.faults.iter().filter(|fault| fault.row().clears == Clears::AtRest) {
                 self.clear(now, fault);
             }
@@ -687,14 +687,20 @@ impl Autopilot {
                     None => self.transition(now, Mode::Standby),
                 }
             }
-            // Somebody pushed the car: it stands elsewhere now.
-            (Mode::Disarmed | Mode::Standby, _) if standing => {
-                let planned = self.committed.newest().trajectory.last().path.position;
-                if state.is_some_and(|(pose, _)| (pose.position - planned).norm() > PUSHED_M) {
-                    self.stand_here(now);
-                }
-            }
             _ => {}
+        }
+        // A plan that is not being followed, or cannot be, gives way to standing here.
+        let given_up = match self.mode {
+            Mode::Disarmed | Mode::Standby => true, // somebody pushed the car
+            Mode::Stop => true,                     // finishing a plan does not mean to set off
+            Mode::Drive => self.guard.stopping().is_some(),
+            Mode::Hold => false,
+        };
+        if given_up && standing {
+            let planned = self.committed.newest().trajectory.last().path.position;
+            if state.is_some_and(|(pose, _)| (pose.position - planned).norm() > PUSHED_M) {
+                self.stand_here(now);
+            }
         }
         if self.mode == Mode::Stop {
             self.braking |= action == Some(Action::BrakeNow);
@@ -732,8 +738,10 @@ impl Autopilot {
 
     fn send_tail(&mut self, now: Instant) {
         // Without a pose that can be believed the tail that the car holds is the better one.
-        let newest = self.localizer.newest().filter(|_| self.is_pose_trusted());
-        let Some((odometry, pose)) = newest else { return };
+        let Some((odometry, pose)) = self.localizer.newest() else { return };
+        if !self.is_pose_trusted(odometry.speed_mps.abs() < REST_SPEED_MPS) {
+            return;
+        }
         let plan = self.committed.current();
         let tail = braking_tail(
             plan.number as u16,

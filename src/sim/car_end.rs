@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::bus::{BusParams, FrameBits};
-use super::car::{Car, CarParams, CarState};
+use super::car::{Car, CarParams, CarState, OdometryReading};
 use super::controller::{Controller, ControllerParams};
 use super::lidar::{BeamFan, Lidar, LidarParams};
 use super::world::World;
@@ -50,9 +50,13 @@ impl MessageClass {
 pub struct CarEnd {
     car: Car,
     controller: Controller,
+    /// What the controller is after a restart.
+    fresh_controller: Controller,
     lidar: Lidar,
     encoder: CarEncoder,
     decoder: CarDecoder,
+    layout: Layout,
+    starts: Starts,
     wheelbase_m: f64,
     track_m: f64,
     scan_period_us: u64,
@@ -67,6 +71,25 @@ pub struct CarEnd {
     out: VecDeque<CanFrame>,
     frames: Vec<CanFrame>,
     sent: VecDeque<(u16, Pose, Vec<f32>)>,
+}
+
+/// What counts from the controller's start.
+#[derive(Clone, Copy, Debug, Default)]
+struct Starts {
+    /// Starts so far, less one.
+    boot: u8,
+    /// Totals of the body then.
+    travelled_m: f64,
+    turned_rad: f64,
+    /// The controller's clock less its usual lead over the core's, microseconds.
+    shift_us: i64,
+}
+
+impl Starts {
+    /// The clock that stamps carry.
+    fn stamp(&self, at: Instant) -> CarTime {
+        CarTime::from_micros(micros(at).saturating_add_signed(self.shift_us))
+    }
 }
 
 /// What a [`CarEnd`] is made of.
@@ -92,12 +115,16 @@ impl CarEnd {
     pub fn new(setup: &CarEndSetup<'_>) -> Self {
         let period_us = |rate_hz: f64| (1e6 / rate_hz).round().max(1.0) as u64;
         let vehicle = setup.vehicle;
+        let controller = Controller::new(vehicle, setup.controller);
         Self {
             car: Car::new(vehicle, setup.car, setup.start),
-            controller: Controller::new(vehicle, setup.controller),
+            fresh_controller: controller.clone(),
+            controller,
             lidar: Lidar::new(setup.lidar, setup.seed),
             encoder: CarEncoder::new(setup.layout, 0),
             decoder: CarDecoder::new(setup.layout),
+            layout: setup.layout,
+            starts: Starts::default(),
             wheelbase_m: vehicle.wheelbase_m,
             track_m: vehicle.track_m,
             scan_period_us: period_us(setup.lidar.rate_hz),
@@ -150,6 +177,41 @@ impl CarEnd {
         self.scan_delay = delay;
     }
 
+    /// Restarts the controller at `now`: it forgets everything, its clock and its totals begin at
+    /// zero.
+    pub fn restart(&mut self, now: Instant) {
+        let body = self.car.odometry(0);
+        self.starts = Starts {
+            boot: self.starts.boot.wrapping_add(1),
+            travelled_m: body.travelled_m,
+            turned_rad: body.turned_rad,
+            shift_us: -(micros(now) as i64),
+        };
+        self.controller = self.fresh_controller.clone();
+        self.encoder = CarEncoder::new(self.layout, self.starts.boot);
+        self.decoder = CarDecoder::new(self.layout);
+        self.out.clear();
+        self.held.clear();
+    }
+
+    /// Sets the clock that its stamps carry ahead (or back) by so many seconds.
+    pub fn shift_clock(&mut self, seconds: f64) {
+        self.starts.shift_us += (seconds * 1e6).round() as i64;
+    }
+
+    /// Sends heartbeats of another version of the interface.
+    pub fn set_interface_version(&mut self, version: u8) {
+        self.encoder.set_version(version);
+    }
+
+    /// What the wheels have measured since the controller's start.
+    fn odometry(&self, clock_us: u64) -> OdometryReading {
+        let mut reading = self.car.odometry(clock_us);
+        reading.travelled_m -= self.starts.travelled_m;
+        reading.turned_rad -= self.starts.turned_rad;
+        reading
+    }
+
     /// Scans measured so far.
     pub const fn scans(&self) -> u64 {
         self.scans
@@ -187,7 +249,7 @@ impl CarEnd {
 
     /// A frame from the bus.
     pub fn handle_frame(&mut self, at: Instant, frame: &CanFrame) {
-        let odometry = self.car.odometry(0);
+        let odometry = self.odometry(0);
         self.decoder.note_totals(odometry.travelled_m, odometry.turned_rad);
         match self.decoder.decode(own_clock(at), frame) {
             Ok(Some(DaemonMessage::Setpoint(setpoint))) => {
@@ -203,12 +265,12 @@ impl CarEnd {
     /// Moves on by one step that ends at `end`, then measures and reports what is due.
     pub fn step(&mut self, end: Instant, dt_s: f64, world: &World) {
         let begin = end.offset_by(-dt_s);
-        let reading = self.car.odometry(micros(begin));
+        let reading = self.odometry(micros(begin));
         self.setpoint = self.controller.step(own_clock(begin), &reading);
         self.car.step(dt_s, &self.setpoint);
 
         let us = end.as_nanos() / 1000;
-        let time = CarTime::from_micros(micros(end));
+        let time = self.starts.stamp(end);
         let due = |period_us: u64| us % period_us < (dt_s * 1e6) as u64;
         let due = |class: MessageClass, period_us| !self.silent[class as usize] && due(period_us);
         let [scan, status, heartbeat] = [
@@ -217,7 +279,7 @@ impl CarEnd {
             due(MessageClass::Heartbeat, HEARTBEAT_PERIOD_US),
         ];
         if due(MessageClass::Odometry, self.odometry_period_us) {
-            let odometry = self.car.odometry(time.as_micros()).on_own_clock();
+            let odometry = self.odometry(time.as_micros()).on_own_clock();
             let message =
                 CarOdometry::from_odometry(time, &odometry, self.wheelbase_m, self.track_m);
             self.encode(|encoder, frames| encoder.encode_odometry(&message, frames).is_ok());

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use apexd::autopilot::CoreParams;
+use apexd::autopilot::{AutopilotParams, CoreParams};
 use apexd::frames::{Point, Pose};
 use apexd::guard::GuardParams;
 use apexd::plan::{Planner, PlannerParams, Planning, Policy, Reading};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
+use apexd::sim::car::CarParams;
 use apexd::sim::faults::{Cut, FaultPlan, FrameFault, Harm};
 use apexd::sim::lidar::LidarParams;
 use apexd::sim::maze::{self, Family};
@@ -36,6 +37,9 @@ pub struct Trial {
     pub time_limit_s: Option<f64>,
     pub faults: FaultPlan,
     pub guard: GuardParams,
+    pub car: CarParams,
+    pub layout: Layout,
+    pub control_rate_hz: f64,
     pub seed: u64,
 }
 
@@ -62,6 +66,9 @@ impl Trial {
             time_limit_s: None,
             faults: FaultPlan::default(),
             guard: GuardParams::default(),
+            car: CarParams::default(),
+            layout: Layout::Fd,
+            control_rate_hz: 100.0,
             seed: 1,
         }
     }
@@ -95,6 +102,13 @@ impl Trial {
 
     pub fn latency(mut self, seconds: f64) -> Self {
         self.latency_s = seconds;
+        self
+    }
+
+    /// Classic frames: 360 beams 10 times a second, and a guard that puts up with that.
+    pub fn classic(mut self) -> Self {
+        (self.layout, self.lidar_hz) = (Layout::Classic, 10.0);
+        self.guard.scan_age_max_s = 0.4;
         self
     }
 
@@ -164,9 +178,19 @@ impl Trial {
         self.rig_with(Box::new(self.planner()))
     }
 
+    /// The car stands at the start and nobody tells it to go anywhere.
+    pub fn idle_rig(&self) -> Rig {
+        self.rig_to(None, Box::new(self.planner()))
+    }
+
     /// The same with another planner.
     pub fn rig_with(&self, planning: Box<dyn Planning>) -> Rig {
-        let mut rig = Rig::new(self.setup_with(planning)).expect("start and goal are free");
+        self.rig_to(Some(self.goal), planning)
+    }
+
+    fn rig_to(&self, goal: Option<Point>, planning: Box<dyn Planning>) -> Rig {
+        let setup = RigSetup { goal, ..self.setup_with(planning) };
+        let mut rig = Rig::new(setup).expect("start and goal are free");
         rig.keep_reports();
         rig
     }
@@ -179,6 +203,10 @@ impl Trial {
             start: self.start,
             goal: Some(self.goal),
             core: CoreParams {
+                autopilot: AutopilotParams {
+                    control_rate_hz: self.control_rate_hz,
+                    ..AutopilotParams::default()
+                },
                 speed: planner.speed.clone(),
                 guard: self.guard.clone(),
                 ..CoreParams::default()
@@ -186,10 +214,14 @@ impl Trial {
             planner,
             predict: PredictParams::default(),
             bus: Default::default(),
-            lidar: LidarParams { rate_hz: self.lidar_hz, ..LidarParams::default() },
-            car: Default::default(),
+            lidar: LidarParams {
+                rate_hz: self.lidar_hz,
+                beams: if self.layout == Layout::Classic { 360 } else { 1080 },
+                ..LidarParams::default()
+            },
+            car: self.car.clone(),
             controller: Default::default(),
-            layout: Layout::Fd,
+            layout: self.layout,
             faults: self.faults.clone(),
             seed: self.seed,
             latency: Latency::Fixed(self.latency_s),

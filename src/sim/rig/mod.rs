@@ -335,7 +335,8 @@ impl Rig {
             if let Some(reports) = &mut self.reports {
                 reports.push((request, report.clone()));
             }
-            self.job = (!self.process.planner_hangs).then_some((done, report));
+            let never = Instant::from_nanos(u64::MAX);
+            self.job = Some((if self.process.planner_hangs { never } else { done }, report));
         }
         while let Some(event) = self.core.poll_event() {
             if let Event::PlanAdopted { stop, length_m, .. } = event {
