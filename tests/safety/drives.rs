@@ -37,6 +37,7 @@ fn whole_drives_keep_every_rule_at_every_step() {
             Trial::maze(Family::Solid, seed + 6).fast(),
             Trial::maze(Family::Solid, seed + 7).latency(0.045).for_s(15.0),
             Trial::maze(Family::Thin, seed + 8).policy(Policy::Janson).for_s(8.0),
+            Trial::maze(Family::Thin, seed).classic().for_s(8.0),
             Trial::maze(Family::Branching, seed + 9).policy(Policy::JansonLite).for_s(8.0),
         ]);
     }

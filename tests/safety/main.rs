@@ -20,6 +20,7 @@ mod mutations;
 mod plans;
 mod prediction;
 mod replay;
+#[allow(dead_code, reason = "the scenarios of the failsafe table use it too")]
 mod trial;
 mod watch;
 
