@@ -124,7 +124,7 @@ mod tests {
         };
         assert_eq!(id("speed.speed_max_mps"), "SPD_SPEED_MAX");
         assert_eq!(id("vehicle.turn_radius_m"), "VEH_TURN_RADIUS");
-        assert_eq!(id("manoeuvre.curvature_share"), "MAN_CURVTR_SHR");
+        assert_eq!(id("manoeuvre.curvature_share"), "MAN_CURVATUR_SHR");
         assert_eq!(id("control.lateral_settle_min_m"), "CTL_LAT_SETT_MIN");
         assert_eq!(id_of("predict", "model", &Allowed::Text), None);
     }
