@@ -246,12 +246,14 @@ impl Ftp {
             Ok(Vec::new())
         } else if is(Op::MAV_FTP_OPCODE_TERMINATESESSION) {
             self.stop_bursts(peer, Some(packet.session));
+            self.forget_answers(peer, Some(packet.session));
             match self.sessions.close(peer, packet.session) {
                 true => Ok(Vec::new()),
                 false => Err(Fault::MAV_FTP_ERR_INVALIDSESSION),
             }
         } else if is(Op::MAV_FTP_OPCODE_RESETSESSION) {
             self.stop_bursts(peer, None);
+            self.forget_answers(peer, None);
             self.sessions.reset(peer);
             Ok(Vec::new())
         } else if is(Op::MAV_FTP_OPCODE_LISTDIRECTORY) {
@@ -313,6 +315,14 @@ impl Ftp {
             burst.peer != peer || session.is_some_and(|number| burst.session != number)
         };
         self.bursts.retain(other);
+    }
+
+    /// What was said about files that are closed by now: a program that begins anew counts its
+    /// questions from the beginning, and must not be given a file that is not open any more.
+    fn forget_answers(&mut self, peer: Peer, session: Option<u8>) {
+        // The answer has the number of the open file.
+        let other = |answer: &[u8; 251]| session.is_some_and(|number| answer[2] != number);
+        self.answers.retain(|(_, from, _, answer)| *from != peer || other(answer));
     }
 
     /// Sends as much of a burst as may be sent now; says whether there is more.

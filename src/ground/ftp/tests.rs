@@ -227,6 +227,11 @@ fn the_same_question_again_gets_the_same_answer() {
     let first = talk.hear(&open);
     assert_eq!(talk.hear(&open), first);
     assert_eq!(talk.service.open_files(), 1, "and opens nothing more");
+    // Once it is closed the same question opens it anew.
+    let session = first[0][2];
+    assert_eq!(talk.ask(Op::MAV_FTP_OPCODE_TERMINATESESSION, session, 0, &[]), Ok(Vec::new()));
+    assert_eq!(talk.hear(&open).len(), 1);
+    assert_eq!(talk.service.open_files(), 1);
     // Another question with the same number is another question.
     let other = packet(7, Op::MAV_FTP_OPCODE_OPENFILERO as u8, 0, 0, b"/logs/b.log");
     assert_ne!(talk.hear(&other), first);
