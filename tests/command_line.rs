@@ -195,6 +195,47 @@ fn a_network_is_taken_by_its_file_or_refused_with_the_reason() {
     assert!(ran.err.contains("driving without prediction"), "{}", ran.err);
 }
 
+/// A bus without CAN FD, with as many beams as it carries.
+#[test]
+fn a_maze_is_driven_over_classic_frames() {
+    let folder = folder();
+    let small = ["--set", "lidar.beams=360", "--set", "lidar.rate_hz=10"];
+    let drive = |set: &[&str]| {
+        let arguments = ["sil", "--maze", "3", "--predictor", "none", "--out", "out", "--json"];
+        apexd(folder.path(), &[&arguments, set].concat())
+    };
+    let classic = drive(&[&small[..], &["--set", "can.layout=classic"]].concat());
+    let json = classic.json();
+    assert_eq!((classic.code, &json["outcome"]), (0, &"goal".into()), "{json}");
+    assert_eq!((&json["collisions"], &json["unknown_entries"]), (&0.into(), &0.into()));
+    assert!(!classic.err.contains("bus"), "{}", classic.err);
+    let fd = drive(&small).json();
+    assert_ne!(json["digest"], fd["digest"], "another layout rounds and arrives otherwise");
+    // More than the bus carries is said, and driven as well as it can be.
+    let limit = ["--set", "can.layout=classic", "--time-limit", "0.2"];
+    let loaded = drive(&limit);
+    assert!(loaded.err.contains("of the bus"), "{}", loaded.err);
+}
+
+#[test]
+fn the_car_refuses_what_cannot_be_and_says_why() {
+    let folder = folder();
+    let car = |more: &[&str]| apexd(folder.path(), &[&["car", "--can", "nocan0"], more].concat());
+    // With or without CAN in this machine's kernel, that interface is not there.
+    let refused = car(&["--truth", "truth.jsonl"]);
+    assert_eq!(refused.code, 2, "{}", refused.err);
+    assert!(refused.err.contains("nocan0") || refused.err.contains("CAN sockets"));
+    assert!(!folder.path().join("truth.jsonl").exists());
+    car(&["--start", "-50,0,0"]).refused(2, &["start", "outside the map"]);
+    std::fs::write(folder.path().join("s.toml"), "[[event]]\nspeed = 1.0\n").unwrap();
+    let script = car(&["--script", "s.toml"]);
+    assert_eq!(script.code, 2);
+    assert!(script.err.contains("s.toml") && script.err.contains("speed_mps"), "{}", script.err);
+    car(&["--script", "none.toml"]).refused(2, &["none.toml"]);
+    assert_eq!(car(&["--set", "can.layout=lin"]).code, 78);
+    assert_eq!(car(&["--layout", "lin"]).code, 2);
+}
+
 #[test]
 fn a_goal_behind_closed_walls_is_unreachable() {
     let folder = folder();

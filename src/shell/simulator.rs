@@ -4,10 +4,11 @@
 use std::path::Path;
 
 use super::pace;
+use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
-use super::sil::{Progress, RunError, SilRequest, Simulator, WorldSource};
+use super::sil::{Progress, RunError, SilRequest, Simulator, input};
 use crate::autopilot::{Action, CoreParams, Event};
-use crate::frames::{Point, Pose};
+use crate::frames::Point;
 use crate::mapfile;
 use crate::params::Params;
 use crate::plan::PlannerParams;
@@ -15,10 +16,7 @@ use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
 use crate::sim::rig::{Rig, RigSetup};
 use crate::sim::world::World;
-use crate::wire::can::Layout;
 
-/// Side of a cell of a maze, metres; a map file brings its own.
-const MAZE_RESOLUTION_M: f64 = 0.1;
 /// Simulated time between two looks at the progress, seconds.
 const PROGRESS_PERIOD_S: f64 = 0.1;
 
@@ -31,7 +29,8 @@ impl Simulator for RigSimulator {
         request: &SilRequest,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<DriveRecord, RunError> {
-        let place = Place::of(request)?;
+        let place = request.place.place()?;
+        warn_of_load(&request.params);
         let truth = walls(&place.world);
         let (start, goal) = (place.start, place.goal);
         let mut rig = Rig::new(setup(request, place)).map_err(input)?;
@@ -80,40 +79,6 @@ impl Simulator for RigSimulator {
     }
 }
 
-fn input(error: impl std::error::Error + Send + Sync + 'static) -> RunError {
-    RunError::Input(Box::new(error))
-}
-
-/// Where to drive, from where and to where.
-struct Place {
-    world: World,
-    start: Pose,
-    goal: Point,
-}
-
-impl Place {
-    fn of(request: &SilRequest) -> Result<Self, RunError> {
-        match &request.world {
-            WorldSource::Maze { seed, family } => {
-                let maze = maze::generate(*family, *seed, MAZE_RESOLUTION_M).map_err(input)?;
-                Ok(Self {
-                    start: request.start.unwrap_or(maze.start),
-                    goal: request.goal.unwrap_or(maze.goal),
-                    world: maze.world,
-                })
-            }
-            WorldSource::Map { file } => {
-                let missing = |what: &str| RunError::Input(format!("a map needs --{what}").into());
-                Ok(Self {
-                    start: request.start.ok_or_else(|| missing("start X,Y,DEG"))?,
-                    goal: request.goal.ok_or_else(|| missing("goal X,Y"))?,
-                    world: World::from_map(&mapfile::load(file).map_err(input)?),
-                })
-            }
-        }
-    }
-}
-
 fn setup(request: &SilRequest, place: Place) -> RigSetup {
     let params = &request.params;
     let begin = pace::now();
@@ -128,7 +93,7 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
         lidar: params.lidar.clone(),
         car: params.car.clone(),
         controller: params.controller.clone(),
-        layout: Layout::Fd,
+        layout: params.can.layout,
         faults: FaultPlan::default(),
         seed: request.seed,
         latency: request.latency,

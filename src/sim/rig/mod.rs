@@ -5,13 +5,11 @@
 //! Planning runs in line; its answer is handed back after the latency asked for, so that age of
 //! information is not fiction.
 
-mod car_end;
 mod setup;
 mod snapshot;
 
 use std::collections::VecDeque;
 
-use car_end::CarEnd;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
 pub use snapshot::Snapshot;
@@ -22,6 +20,7 @@ use crate::plan::{PlanRequest, Planning, StepReport};
 use crate::sim::account::Account;
 use crate::sim::bus::NodeId;
 use crate::sim::car::CarState;
+use crate::sim::car_end::CarEnd;
 use crate::sim::drive::{Outcome, PlanMark, Spread, Summary, Trace, TraceSample};
 use crate::sim::faults::FaultyBus;
 use crate::sim::judge::Judge;
@@ -46,6 +45,7 @@ pub struct Rig {
     judge: Judge,
     bus: FaultyBus,
     daemon_node: NodeId,
+    car_node: NodeId,
     core: Autopilot,
     planner: Box<dyn Planning>,
     car: CarEnd,
@@ -213,7 +213,7 @@ impl Rig {
         self.moved_m += (self.car.state().pose.position - before).norm();
         while let Some(frame) = self.car.poll_frame() {
             // A full queue loses the frame, as a real controller's would.
-            let _ = self.bus.send(end, self.car.node(), frame);
+            let _ = self.bus.send(end, self.car_node, frame);
         }
         let verdict =
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
@@ -278,7 +278,7 @@ impl Rig {
                 self.core.handle_frame(at, &frame);
                 self.enter_delivered_scan();
             }
-            while let Some((at, frame)) = self.bus.receive(self.car.node()) {
+            while let Some((at, frame)) = self.bus.receive(self.car_node) {
                 self.car.handle_frame(at, &frame);
             }
             if let Some((_, report)) = self.job.take_if(|(at, _)| *at <= self.now) {
