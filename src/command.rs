@@ -61,6 +61,9 @@ pub struct CarStatus {
     pub emergency_stop: bool,
     /// Setpoints stopped coming while driving; latched until a setpoint with `drive == false`.
     pub setpoint_lost: bool,
+    /// Changes whenever setpoints are lost: a loss shows even if the latch was cleared before
+    /// anybody saw it set.
+    pub loss_toggle: bool,
     /// Whether the controller holds a complete braking tail, and of which plan.
     pub tail_plan: Option<u16>,
     /// Battery voltage, volts.

@@ -101,6 +101,15 @@ impl OdometryTrack {
         Reading::Taken
     }
 
+    /// Forgets the readings: the next one belongs to other totals. The track goes on from the last
+    /// pose.
+    pub fn begin_anew(&mut self) {
+        if let Some(last) = self.entries.back() {
+            self.start = self.start.map(|_| last.pose);
+        }
+        self.entries.clear();
+    }
+
     /// The newest reading and the pose there.
     pub fn newest(&self) -> Option<(Odometry, Pose)> {
         self.entries.back().map(|e| (e.odometry, e.pose))

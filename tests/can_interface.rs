@@ -73,6 +73,7 @@ fn traffic(
     let status = CarStatus {
         emergency_stop: false,
         setpoint_lost: false,
+        loss_toggle: false,
         tail_plan: None,
         battery_v: 7.4,
         setpoint_age_s: 0.0,

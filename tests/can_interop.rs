@@ -131,6 +131,7 @@ impl Chance {
         CarStatus {
             emergency_stop: self.0.random(),
             setpoint_lost: self.0.random(),
+            loss_toggle: self.0.random(),
             tail_plan: self.0.random::<bool>().then(|| self.0.random()),
             battery_v: self.between(0.0, 60.0),
             setpoint_age_s: self.between(0.0, 60.0),
@@ -335,6 +336,7 @@ fn cantools_decodes_what_we_send() {
                 signals! {
                     "EmergencyStop" => flag(status.emergency_stop),
                     "SetpointLost" => flag(status.setpoint_lost),
+                    "LossToggle" => flag(status.loss_toggle),
                     "TailHeld" => flag(status.tail_plan.is_some()),
                     "TailPlan" => number(status.tail_plan.unwrap_or(0)),
                     "BatteryVoltage" => near(status.battery_v, 5e-4),
@@ -450,6 +452,7 @@ fn we_decode_what_cantools_encodes() {
                 signals! {
                     "EmergencyStop" => json!(u8::from(status.emergency_stop)),
                     "SetpointLost" => json!(u8::from(status.setpoint_lost)),
+                    "LossToggle" => json!(u8::from(status.loss_toggle)),
                     "TailHeld" => json!(u8::from(status.tail_plan.is_some())),
                     "TailPlan" => json!(status.tail_plan.unwrap_or(0)),
                     "BatteryVoltage" => json!(status.battery_v),

@@ -162,7 +162,7 @@ fn a_person_reads_a_summary_and_finds_the_report_in_runs() {
 fn every_policy_and_predictor_drives() {
     let folder = folder();
     room(folder.path(), |_, _| false);
-    for policy in ["map-predictive", "frontier", "known-map"] {
+    for policy in ["map-predictive", "frontier", "janson", "janson-lite", "known-map"] {
         let ran = cross(folder.path(), &["--json", "--out", policy, "--policy", policy]);
         assert_eq!((ran.code, &ran.json()["outcome"]), (0, &"goal".into()), "{policy}");
     }
@@ -323,7 +323,7 @@ fn bad_usage_and_bad_configuration_have_codes_of_their_own() {
         assert!(!ran.err.is_empty(), "{arguments:?}");
     }
     let ran = apexd(at, &["sil", "--policy", "best"]);
-    for name in ["map-predictive", "frontier", "known-map"] {
+    for name in ["map-predictive", "frontier", "janson", "janson-lite", "known-map"] {
         assert!(ran.err.contains(name), "{}", ran.err);
     }
     let ran = apexd(at, &["sil", "--speed-max", "1000"]);

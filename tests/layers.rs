@@ -6,8 +6,9 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Modules that all others may use; they use nothing but each other.
-const BASE: &[&str] =
-    &["command", "frames", "odometry", "scan", "tail", "time", "tunable", "units", "vehicle"];
+const BASE: &[&str] = &[
+    "command", "fence", "frames", "odometry", "scan", "tail", "time", "tunable", "units", "vehicle",
+];
 
 /// What each module may use besides itself and [`BASE`]. The longest name that fits a module
 /// counts. An entry with `::` allows just that item.
@@ -71,6 +72,7 @@ const MAY_USE: &[(&str, &[&str])] = &[
             "plan",
             "control",
             "guard",
+            "ground",
             "autopilot",
             "sim",
             "shell::daemon::DaemonParams",

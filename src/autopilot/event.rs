@@ -1,6 +1,6 @@
 //! What the core is told, what it tells, and what it counts.
 
-use super::{Fault, Mode};
+use super::{BusState, Fault, Mode};
 use crate::frames::Point;
 use crate::plan::Rejection;
 use crate::predict::PredictFault;
@@ -19,6 +19,16 @@ pub enum Command {
     Pause,
     /// Go on after a pause.
     Continue,
+    /// Drive to a point, map frame, through space that is known to be free, if there is such a
+    /// way.
+    Return(Point),
+    /// Do not exceed this speed, m/s, until the car is disarmed; `None`: as fast as the parameters
+    /// allow.
+    SpeedLimit(Option<f64>),
+    /// Whether every ground station has gone silent, where that is to stop the car.
+    StationLost(bool),
+    /// Brake, and stand until the next start.
+    Terminate,
 }
 
 /// Why a command was refused.
@@ -35,6 +45,15 @@ pub enum Refusal {
     /// Arm first.
     #[error("the car is not armed")]
     NotArmed,
+    /// It was ended.
+    #[error("the drive was terminated; only a restart ends that")]
+    Terminated,
+    /// A speed that is none.
+    #[error("the speed limit of {speed_mps} m/s is not a number above zero")]
+    SpeedNotPositive {
+        /// Metres per second.
+        speed_mps: f64,
+    },
     /// There is nothing to pause.
     #[error("the car is not driving")]
     NotDriving,
@@ -42,11 +61,18 @@ pub enum Refusal {
     #[error("no goal is being held")]
     NothingToContinue,
     /// Pre-arm check.
-    #[error("no fresh wheel odometry")]
-    NoOdometry,
+    #[error("no heartbeat from the car's controller")]
+    NoHeartbeat,
     /// Pre-arm check.
-    #[error("no fresh lidar scan")]
-    NoScan,
+    #[error(
+        "the car's controller speaks version {theirs} of the CAN interface, this is version {ours}"
+    )]
+    WrongVersion {
+        /// The controller's.
+        theirs: u8,
+        /// Ours.
+        ours: u8,
+    },
     /// Pre-arm check.
     #[error("no fresh status from the car's controller")]
     NoStatus,
@@ -54,8 +80,48 @@ pub enum Refusal {
     #[error("the emergency stop is pressed")]
     EmergencyStop,
     /// Pre-arm check.
+    #[error("the car's controller still takes setpoints for lost")]
+    SetpointLost,
+    /// Pre-arm check.
+    #[error("the battery has {battery_v:.2} V, less than {low_v:.2} V")]
+    BatteryLow {
+        /// Measured, volts.
+        battery_v: f64,
+        /// Least, volts.
+        low_v: f64,
+    },
+    /// Pre-arm check.
+    #[error("no fresh wheel odometry")]
+    NoOdometry,
+    /// Pre-arm check.
+    #[error("no fresh lidar scan")]
+    NoScan,
+    /// Pre-arm check.
     #[error("the car is moving")]
     Moving,
+    /// Pre-arm check.
+    #[error("the car's controller holds no braking tail")]
+    TailNotHeld,
+    /// Pre-arm check.
+    #[error("the CAN controller of this computer is {}", bus_state_text(*.0))]
+    BusNotActive(BusState),
+    /// Pre-arm check.
+    #[error("the disk is full: there would be no log")]
+    DiskFull,
+    /// Pre-arm check.
+    #[error("this computer is overloaded: control ticks are late")]
+    Overload,
+    /// Pre-arm check.
+    #[error("{} has not been over for half a second", .0.name())]
+    Unsettled(Fault),
+}
+
+const fn bus_state_text(state: BusState) -> &'static str {
+    match state {
+        BusState::Active => "active",
+        BusState::Passive => "error-passive",
+        BusState::Off => "off the bus",
+    }
 }
 
 /// Something worth a line in the log.

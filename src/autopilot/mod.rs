@@ -6,10 +6,12 @@
 //! slower than the control tick, so it leaves as a job and comes back as an event, late or never
 //! without holding anything up: the committed plan ends at rest in known free space anyway.
 
+mod commands;
 mod committed;
 mod document;
 mod event;
 mod failsafe;
+mod fence;
 mod health;
 mod mode;
 mod reconfigure;
@@ -24,25 +26,24 @@ pub use failsafe::{Action, ActiveFaults, Clears, Fault, Row, TABLE};
 pub use health::{BusHealth, BusState, HostHealth};
 pub use mode::Mode;
 
-use crate::command::{CarStatus, ForceSetpoint};
+use crate::command::ForceSetpoint;
 use crate::control::{ControlParams, Tracker, TrackingError, braking_tail};
+use crate::fence::Fence;
 use crate::frames::Pose;
 use crate::guard::{Guard, GuardCounts, GuardParams};
 use crate::localize::{ClockMap, Localizer};
 use crate::map::{CellRect, Grid, MapParams, Mapper};
+use crate::odometry::Reading;
 use crate::plan::certify::{CertifyParams, recertify};
 use crate::plan::speed::{SpeedLimits, SpeedParams};
-use crate::plan::{Goal, Path, Plan, PlanRequest, StepReport, Verdict, shorten};
-use crate::scan::Scan;
+use crate::plan::{FencePainter, Goal, Path, Plan, PlanRequest, StepReport, Verdict, shorten};
+use crate::scan::{Odometry, Scan};
 use crate::time::Instant;
 use crate::tunables;
 use crate::vehicle::VehicleParams;
-use crate::wire::can::{
-    CanFrame, CarMessage, DaemonMode, Decoder, Encoder, Layout, WireError, WireStats,
-};
-use failsafe::{
-    CORRUPT_FRAMES_PER_S, ODOMETRY_TIMEOUT_S, PLAN_TIMEOUT_S, SCAN_TIMEOUT_S, STATUS_TIMEOUT_S,
-};
+use crate::wire::can::{CanFrame, CarMessage, DaemonMode, Decoder, Encoder, Layout, WireStats};
+use failsafe::GAP_S;
+use health::Health;
 
 tunables! {
     /// The autopilot core.
@@ -53,11 +54,18 @@ tunables! {
         goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
         /// Time granted to a planning step: the new plan takes over this long after the request.
         plan_budget_s: f64 = 0.02, at_rest, in 0.001..=1.0, "s";
+        /// Least time between two planning requests; 0 asks for a plan after every scan.
+        plan_period_s: f64 = 0.0, at_rest, in 0.0..=10.0, "s";
         /// Time between two braking tails while driving.
         tail_period_s: f64 = 0.05, at_rest, in 0.01..=0.5, "s";
         /// Tracking error at which the car is stopped: along with pose and map errors it must stay
         /// within the certified margin.
         tracking_error_max_m: f64 = 0.04, at_rest, in 0.005..=0.5, "m";
+        /// A car whose battery stays below this voltage is stopped and not armed; 3.2 V a cell
+        /// spare the battery. 0 switches the check off.
+        battery_low_v: f64 = 9.6, live, in 0.0..=100.0, "V";
+        /// So many error frames on the bus within a second end the drive.
+        bus_errors_max_ps: u32 = 50, restart, in 1..=10000, "";
     }
 }
 
@@ -93,6 +101,10 @@ const REST_SPEED_MPS: f64 = 0.02;
 const RETIME_SPEED_MIN_MPS: f64 = 0.3;
 /// Largest shift at once, seconds: the period of a 20 Hz lidar.
 const RETIME_MAX_S: f64 = 0.05;
+/// A planning request may come this much before its period is over, seconds.
+const PLAN_PERIOD_SLACK_S: f64 = 0.005;
+/// A car at rest that is further than this from where it was to stand was pushed, metres.
+const PUSHED_M: f64 = 0.02;
 /// Heartbeats are sent this often, seconds.
 const HEARTBEAT_PERIOD_S: f64 = 0.1;
 
@@ -102,7 +114,15 @@ pub struct Autopilot {
     started: Instant,
     mode: Mode,
     goal: Option<Goal>,
+    wish: Wish,
     faults: ActiveFaults,
+    /// Faults whose detectors are switched off, in tests.
+    suppressed: ActiveFaults,
+    health: Health,
+    /// A person wants the car to wait.
+    paused: bool,
+    /// Braking goes on until the car stands, whether or not its cause does.
+    braking: bool,
     decoder: Decoder,
     encoder: Encoder,
     clock: ClockMap,
@@ -113,31 +133,52 @@ pub struct Autopilot {
     committed: Committed,
     inputs: Inputs,
     job: Option<PlanRequest>,
-    in_flight: Option<u32>,
+    in_flight: Option<InFlight>,
     next_number: u32,
     changed: CellRect,
     next_tick: Instant,
     next_tail: Instant,
     next_heartbeat: Instant,
     last_adopted: Instant,
+    next_request: Instant,
     tail_frames: Vec<CanFrame>,
     frames: VecDeque<CanFrame>,
     events: VecDeque<Event>,
     statistics: Statistics,
     last_error: TrackingError,
+    fence: Arc<Fence>,
+    painter: FencePainter,
 }
 
 /// The newest of everything that comes in.
 #[derive(Default)]
 struct Inputs {
     scan: Option<(Instant, Pose)>,
-    scan_received: Option<Instant>,
-    odometry_received: Option<Instant>,
-    status: Option<(Instant, CarStatus)>,
-    corrupt_at: VecDeque<Instant>,
     raw_scan: Option<Arc<Scan>>,
-    bus: Option<(Instant, BusHealth)>,
-    host: Option<(Instant, HostHealth)>,
+    /// Start of the car's controller that the totals belong to.
+    epoch: Option<u32>,
+}
+
+/// How the goal is to be driven to, and whether anybody still listens.
+#[derive(Clone, Copy, Debug, Default)]
+struct Wish {
+    /// A speed not to be exceeded, m/s.
+    speed_limit_mps: Option<f64>,
+    /// Through known space, if there is a way.
+    through_known: bool,
+    /// Every ground station has gone silent, and that is to stop the car.
+    station_lost: bool,
+}
+
+/// A planning step under way.
+struct InFlight {
+    number: u32,
+    since: Instant,
+    goal: Goal,
+    /// Its answer is not wanted any more.
+    void: bool,
+    /// Beams have ended in free space since: its answer is to be looked at again.
+    outdated: bool,
 }
 
 impl Autopilot {
@@ -150,7 +191,12 @@ impl Autopilot {
             started: now,
             mode: Mode::Disarmed,
             goal: None,
+            wish: Wish::default(),
             faults: ActiveFaults::default(),
+            suppressed: ActiveFaults::default(),
+            health: Health::new(now, tick_s, params.autopilot.bus_errors_max_ps),
+            paused: false,
+            braking: false,
             decoder: Decoder::new(layout),
             encoder: Encoder::new(layout),
             clock: ClockMap::new(),
@@ -168,11 +214,14 @@ impl Autopilot {
             next_tail: now,
             next_heartbeat: now,
             last_adopted: now,
+            next_request: now,
             tail_frames: Vec::new(),
             frames: VecDeque::new(),
             events: VecDeque::new(),
             statistics: Statistics::default(),
             last_error: TrackingError::default(),
+            fence: Arc::default(),
+            painter: FencePainter::default(),
             params,
         }
     }
@@ -213,6 +262,11 @@ impl Autopilot {
         self.localizer.pose_at(now).map(|pose| (pose, self.localizer.speed_at(now)))
     }
 
+    /// Yaw rate by the newest odometry, rad/s, counter-clockwise; zero without any.
+    pub fn yaw_rate_rps(&self) -> f64 {
+        self.localizer.newest().map_or(0.0, |(odometry, _)| odometry.yaw_rate_rps)
+    }
+
     /// The newest complete scan.
     pub const fn newest_scan(&self) -> Option<&Arc<Scan>> {
         self.inputs.raw_scan.as_ref()
@@ -240,43 +294,88 @@ impl Autopilot {
 
     // ---- inputs
 
-    /// A frame arrived.
+    /// A frame arrived at `now` (the moment at which it came, even if it had to wait).
     pub fn handle_frame(&mut self, now: Instant, frame: &CanFrame) {
-        match self.decoder.decode(now, frame) {
+        self.note_time(now);
+        self.note_frame(now);
+        let message = self.decoder.decode(now, frame);
+        self.note_wire(now, message.as_ref().err());
+        match message {
             Ok(None) => {}
             Ok(Some(CarMessage::Odometry(odometry))) => {
-                let stamp = self.clock.map(odometry.time.as_micros(), now).stamp;
+                let stamp = self.car_time(now, odometry.time.as_micros());
+                let epoch = odometry.epoch;
                 let wheelbase_m = self.params.vehicle.wheelbase_m;
-                let odometry = odometry.into_odometry(stamp, wheelbase_m);
-                self.localizer.handle_odometry(&odometry);
-                self.guard.handle_odometry(&odometry);
-                self.inputs.odometry_received = Some(now);
+                self.handle_odometry(now, epoch, &odometry.into_odometry(stamp, wheelbase_m));
             }
             Ok(Some(CarMessage::Scan(scan))) => {
-                let stamp = self.clock.map(scan.time.as_micros(), now).stamp;
+                let stamp = self.car_time(now, scan.time.as_micros());
                 self.handle_scan(now, scan.into_scan(stamp));
             }
-            Ok(Some(CarMessage::Status(status))) => {
-                self.inputs.status = Some((now, status));
-                if status.emergency_stop {
-                    self.raise(now, Fault::EmergencyStop);
-                }
-                if status.setpoint_lost && self.mode == Mode::Drive {
-                    self.raise(now, Fault::SetpointLost);
-                }
+            Ok(Some(CarMessage::Status(status))) => self.handle_status(now, status),
+            Ok(Some(CarMessage::Heartbeat(heartbeat))) => self.handle_heartbeat(now, heartbeat),
+            Err(_) => self.statistics.frames_refused += 1,
+        }
+    }
+
+    /// A moment on the car's clock, on ours.
+    fn car_time(&mut self, now: Instant, car_us: u64) -> Instant {
+        let reading = self.clock.map(car_us, now);
+        if reading.jumped {
+            self.raise(now, Fault::ClockJump);
+        }
+        reading.stamp
+    }
+
+    fn handle_odometry(&mut self, now: Instant, epoch: u32, odometry: &Odometry) {
+        let before = self.localizer.newest();
+        let restarted = self.inputs.epoch.replace(epoch).is_some_and(|before| before != epoch);
+        if restarted {
+            self.localizer.begin_anew();
+            self.guard.begin_anew();
+        }
+        let reading = self.localizer.handle_odometry(odometry);
+        self.guard.handle_odometry(odometry);
+        self.note_odometry(odometry.stamp);
+        let strays = match (reading, before) {
+            (Reading::Restarted, _) => true,
+            (Reading::Taken, Some((before, _))) => {
+                health::strays(&before, odometry, &self.params.vehicle)
             }
-            Ok(Some(CarMessage::Heartbeat(_))) => {}
-            Err(error) => {
-                if matches!(error, WireError::WrongCrc { .. }) {
-                    self.inputs.corrupt_at.push_back(now);
-                }
-                self.statistics.frames_refused += 1;
-            }
+            _ => false,
+        };
+        if restarted || strays {
+            self.lose_pose(now);
+        }
+    }
+
+    /// Nobody knows where the car is on the map: both begin anew from here.
+    fn lose_pose(&mut self, now: Instant) {
+        self.raise(now, Fault::PoseLost);
+        if !self.faults.contains(Fault::PoseLost) {
+            return;
+        }
+        self.mapper.forget();
+        self.changed = self.changed.union(&self.mapper.grid().bounds());
+        self.inputs.scan = None;
+        self.goal = None;
+        self.void_job();
+        self.stand_here(now);
+    }
+
+    /// The place where the car stands is free.
+    fn mark_standing(&mut self, now: Instant) {
+        if let Some(pose) = self.localizer.pose_at(now) {
+            let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
+            let insertion = self.mapper.mark_footprint(pose.position, radius_m);
+            self.changed = self.changed.union(&insertion.changed);
         }
     }
 
     fn handle_scan(&mut self, now: Instant, scan: Scan) {
-        let Some(pose) = self.localizer.pose_at(scan.stamp) else {
+        // Right after a jump the stamps are still settling: centimetres at speed.
+        let settled = !self.faults.contains(Fault::ClockJump);
+        let Some(pose) = self.localizer.pose_at(scan.stamp).filter(|_| settled) else {
             self.statistics.scans_without_pose += 1;
             return;
         };
@@ -284,10 +383,13 @@ impl Autopilot {
         self.changed = self.changed.union(&insertion.changed);
         self.statistics.scans += 1;
         self.inputs.scan = Some((scan.stamp, pose));
-        self.inputs.scan_received = Some(now);
+        self.health.note_scan(scan.stamp);
         self.guard.handle_scan(&scan);
         self.inputs.raw_scan = Some(Arc::new(scan));
         if insertion.turned_occupied > 0 {
+            if let Some(job) = &mut self.in_flight {
+                job.outdated = true;
+            }
             self.certify_again(now);
         }
         self.request_plan(now);
@@ -295,39 +397,32 @@ impl Autopilot {
 
     /// A planning job came back.
     pub fn handle_job_done(&mut self, now: Instant, report: StepReport) {
-        if self.in_flight != Some(report.number) {
-            return;
-        }
-        self.in_flight = None;
+        self.note_time(now);
+        let Some(job) = self.in_flight.take_if(|job| job.number == report.number) else { return };
         self.statistics.replans += 1;
         self.statistics.candidates += u64::from(report.candidates);
         let prediction = report.prediction;
-        if prediction.fault.is_some() || prediction.resting {
-            self.raise(now, Fault::NoPrediction);
-        } else {
-            self.clear(now, Fault::NoPrediction);
-        }
+        self.health.note_prediction(prediction.fault.is_some() || prediction.resting);
         if let Some(fault) = prediction.fault {
             self.statistics.prediction_faults += 1;
             self.events.push_back(Event::PredictionFault { at: now, number: report.number, fault });
         }
+        let wanted = !job.void && self.goal == Some(job.goal);
         match report.verdict {
+            _ if !wanted => self.statistics.plans_stale += 1,
             Verdict::Plan(plan) => {
-                let welcome = self.mode == Mode::Drive && self.decisive_action().is_none();
-                if now > report.takes_over {
-                    self.statistics.plans_late += 1;
-                    self.events.push_back(Event::PlanLate { number: report.number });
-                } else if welcome && report.base == self.committed.newest().number {
-                    self.last_adopted = now;
-                    self.statistics.plans_adopted += 1;
-                    self.events.push_back(Event::PlanAdopted {
-                        number: plan.number,
-                        stop: plan.trajectory.last().path.position,
-                        length_m: plan.trajectory.last().path.s_m,
-                    });
-                    self.committed.schedule(*plan);
-                } else {
-                    self.statistics.plans_stale += 1;
+                let welcome = self.mode == Mode::Drive
+                    && self.decisive_action().is_none()
+                    && report.base == self.committed.newest().number;
+                match self.in_time(now, report.takes_over, *plan) {
+                    None => {
+                        self.statistics.plans_late += 1;
+                        self.events.push_back(Event::PlanLate { number: report.number });
+                    }
+                    Some(plan) if welcome && !(job.outdated && self.is_revoked(&plan)) => {
+                        self.adopt(now, plan);
+                    }
+                    Some(_) => self.statistics.plans_stale += 1,
                 }
             }
             Verdict::Keep => self.last_adopted = now,
@@ -341,80 +436,52 @@ impl Autopilot {
         }
     }
 
-    /// What the driver of the bus says about it; at every change, and now and then.
-    pub fn handle_bus_health(&mut self, now: Instant, health: BusHealth) {
-        self.inputs.bus = Some((now, health));
-    }
-
-    /// What the computer says about itself; at every change, and now and then.
-    pub fn handle_host_health(&mut self, now: Instant, health: HostHealth) {
-        self.inputs.host = Some((now, health));
-    }
-
-    /// A person or a ground station wants something.
-    ///
-    /// # Errors
-    /// Says why it is refused; nothing has changed then.
-    pub fn handle_command(&mut self, now: Instant, command: Command) -> Result<(), Refusal> {
-        match command {
-            Command::Arm => {
-                if self.mode.is_armed() && self.mode != Mode::Stop {
-                    return Ok(());
-                }
-                self.check_ready(now)?;
-                for fault in self.faults.iter().collect::<Vec<_>>() {
-                    if fault.row().clears == Clears::ByArming {
-                        self.clear(now, fault);
-                    }
-                }
-                self.stand_here(now);
-                self.transition(now, if self.goal.is_some() { Mode::Hold } else { Mode::Standby });
+    /// The plan if it can still take over. A car that stands where a plan begins may begin late:
+    /// without that, planning that always takes longer than it is granted would never let the car
+    /// set out.
+    fn in_time(&self, now: Instant, takes_over: Instant, mut plan: Plan) -> Option<Plan> {
+        if now > takes_over {
+            let waits = self.committed.is_finished(now);
+            if !waits || plan.trajectory.points.first().is_none_or(|p| p.speed_mps > 0.0) {
+                return None;
             }
-            Command::Disarm => {
-                self.goal = None;
-                self.transition(now, Mode::Disarmed);
-            }
-            Command::Goto(position) => {
-                if !(position.x.is_finite() && position.y.is_finite()) {
-                    return Err(Refusal::GoalNotFinite { x_m: position.x, y_m: position.y });
-                }
-                if !self.mode.is_armed() {
-                    return Err(Refusal::NotArmed);
-                }
-                let radius_m = self.params.autopilot.goal_radius_m;
-                self.goal = Some(Goal { position, radius_m });
-                self.clear(now, Fault::GoalUnreachable);
-                self.last_adopted = now;
-                if self.mode != Mode::Stop {
-                    self.transition(now, Mode::Drive);
-                }
-            }
-            Command::Pause => {
-                if self.mode != Mode::Drive {
-                    return Err(Refusal::NotDriving);
-                }
-                self.committed.drop_next();
-                self.transition(now, Mode::Hold);
-            }
-            Command::Continue => {
-                if self.goal.is_none() || self.mode != Mode::Hold {
-                    return Err(Refusal::NothingToContinue);
-                }
-                self.last_adopted = now;
-                self.transition(now, Mode::Drive);
-            }
+            plan.trajectory.start = self.tick_from(now);
         }
-        Ok(())
+        Some(plan)
+    }
+
+    /// Whether something stands on a plan by now.
+    fn is_revoked(&self, plan: &Plan) -> bool {
+        let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
+        recertify(&plan.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
+    }
+
+    fn adopt(&mut self, now: Instant, plan: Plan) {
+        self.last_adopted = now;
+        self.statistics.plans_adopted += 1;
+        let stop = plan.trajectory.last().path;
+        self.events.push_back(Event::PlanAdopted {
+            number: plan.number,
+            stop: stop.position,
+            length_m: stop.s_m,
+        });
+        self.committed.schedule(plan);
     }
 
     /// Time has passed; does what is due.
     pub fn handle_time(&mut self, now: Instant) {
+        self.note_time(now);
         if now >= self.next_tick {
+            self.note_tick(now, self.next_tick);
             // After a pause (a late caller) the ticks missed are not made up for.
-            while self.next_tick <= now {
-                self.next_tick = self.next_tick.offset_by(self.params.autopilot.tick_s());
-            }
+            let tick_s = self.params.autopilot.tick_s();
+            let missed = (now.seconds_after(self.next_tick) / tick_s).floor();
+            self.next_tick = self.next_tick.offset_by((missed + 1.0) * tick_s);
             self.tick(now);
+        } else if self.next_tick.seconds_after(now) > GAP_S {
+            // Time runs back: nothing is done until it has caught up, and the car, which hears
+            // nothing any more, stops by itself.
+            self.raise(self.next_tick, Fault::ClockJump);
         }
     }
 
@@ -449,20 +516,12 @@ impl Autopilot {
         }
     }
 
-    fn raise(&mut self, now: Instant, fault: Fault) {
-        if self.faults.set(fault, true) {
-            self.events.push_back(Event::FaultRaised { at: now, fault });
+    /// Whatever comes back from the planning step under way is not wanted any more.
+    fn void_job(&mut self) {
+        self.job = None;
+        if let Some(job) = &mut self.in_flight {
+            job.void = true;
         }
-    }
-
-    fn clear(&mut self, now: Instant, fault: Fault) {
-        if self.faults.set(fault, false) {
-            self.events.push_back(Event::FaultCleared { at: now, fault });
-        }
-    }
-
-    fn decisive_action(&self) -> Option<Action> {
-        self.faults.decisive().map(|row| row.action)
     }
 
     /// The committed plan becomes standing still where the car is.
@@ -481,16 +540,19 @@ impl Autopilot {
 
     fn request_plan(&mut self, now: Instant) {
         let (Mode::Drive, Some(goal), None, Some((scan_stamp, scan_pose))) =
-            (self.mode, self.goal, self.in_flight, self.inputs.scan)
+            (self.mode, self.goal, &self.in_flight, self.inputs.scan)
         else {
             return;
         };
-        if self.decisive_action().is_some() {
+        if self.decisive_action().is_some() || now < self.next_request {
             return;
         }
+        // Scans come a little early or late; half a millisecond must not cost a whole scan.
+        let wait_s = (self.params.autopilot.plan_period_s - PLAN_PERIOD_SLACK_S).max(0.0);
+        self.next_request = now.offset_by(wait_s);
         self.catch_up_with_car(now);
         let number = self.take_number();
-        self.in_flight = Some(number);
+        self.in_flight = Some(InFlight { number, since: now, goal, void: false, outdated: false });
         self.job = Some(PlanRequest {
             number,
             grid: self.mapper.snapshot(),
@@ -500,6 +562,9 @@ impl Autopilot {
             committed: Arc::clone(self.committed.newest()),
             takes_over: self.tick_from(now.offset_by(self.params.autopilot.plan_budget_s)),
             goal,
+            speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
+            fence: Arc::clone(&self.fence),
+            through_known: self.wish.through_known,
         });
     }
 
@@ -529,23 +594,28 @@ impl Autopilot {
         self.last_error.along_m = 0.0;
     }
 
-    /// A beam ended in space that was known to be free: looks at the plan under way again, and
+    /// A beam ended in space that was known to be free, or the fence is another one: looks at the
+    /// plan under way again, and
     /// shortens it if it no longer passes.
     fn certify_again(&mut self, now: Instant) {
         let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
-        if let Some(next) = self.committed.next()
-            && recertify(&next.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
-        {
+        let fenced = self.fenced_grid(now);
+        let grid = fenced.as_ref().unwrap_or_else(|| self.mapper.grid());
+        let next_fails = self
+            .committed
+            .next()
+            .is_some_and(|next| recertify(&next.trajectory, 0.0, grid, radius_m).is_err());
+        if next_fails {
             self.committed.drop_next();
         }
         let current = &self.committed.current().trajectory;
         let elapsed = now.seconds_after(current.start).max(0.0);
-        if recertify(current, elapsed, self.mapper.grid(), radius_m).is_ok() {
+        if recertify(current, elapsed, grid, radius_m).is_ok() {
             return;
         }
         self.statistics.plans_revoked += 1;
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
-        match shorten(current, now, self.mapper.grid(), radius_m, &limits) {
+        match shorten(current, now, grid, radius_m, &limits) {
             Some(trajectory) => {
                 let number = self.take_number();
                 let scan_stamp = self.committed.current().scan_stamp;
@@ -569,31 +639,21 @@ impl Autopilot {
         self.check_health(now);
         let state = self.state(now);
         let standing = state.is_none_or(|(_, speed)| speed.abs() < REST_SPEED_MPS);
-        let action = self.decisive_action();
-        match (self.mode, action) {
-            (Mode::Drive | Mode::Hold, Some(_)) => self.transition(now, Mode::Stop),
-            (Mode::Stop, None) if standing => {
-                let resumed = if self.goal.is_some() { Mode::Drive } else { Mode::Standby };
-                self.stand_here(now);
-                self.transition(now, resumed);
+        self.settle_mode(now, state, standing);
+        let mut setpoint = ForceSetpoint::default();
+        if let Some((pose, speed)) = state.filter(|_| self.is_following()) {
+            let trajectory = &self.committed.current().trajectory;
+            let tracking = self.tracker.track(trajectory, now, pose, speed);
+            self.last_error = tracking.error;
+            setpoint = tracking.setpoint;
+            if tracking.error.lateral_m.abs() > self.params.autopilot.tracking_error_max_m {
+                self.raise(now, Fault::TrackingError);
+                self.settle_mode(now, state, standing);
             }
-            _ => {}
-        }
-        if action == Some(Action::BrakeNow) && standing && self.mode == Mode::Stop {
-            self.clear(now, Fault::PathBlocked);
-            self.clear(now, Fault::TrackingError);
-        }
-        let braking =
-            action == Some(Action::BrakeNow) || matches!(self.mode, Mode::Disarmed | Mode::Standby);
-        let setpoint = match state {
-            Some((pose, speed)) if !braking => {
-                let trajectory = &self.committed.current().trajectory;
-                let tracking = self.tracker.track(trajectory, now, pose, speed);
-                self.last_error = tracking.error;
-                tracking.setpoint
+            if !self.is_following() {
+                setpoint = ForceSetpoint::default();
             }
-            _ => ForceSetpoint::default(),
-        };
+        }
         if self.mode == Mode::Drive && standing {
             self.check_arrival(now);
         }
@@ -604,18 +664,54 @@ impl Autopilot {
         }
     }
 
+    /// Whether setpoints lead along the committed plan.
+    fn is_following(&self) -> bool {
+        matches!(self.mode, Mode::Drive | Mode::Hold | Mode::Stop) && !self.braking
+    }
+
+    /// The mode that the active faults call for.
+    fn settle_mode(&mut self, now: Instant, state: Option<(Pose, f64)>, standing: bool) {
+        if standing && self.mode == Mode::Stop && self.is_pose_trusted() {
+            for fault in self.faults.iter().filter(|fault| fault.row().clears == Clears::AtRest) {
+                self.clear(now, fault);
+            }
+        }
+        let action = self.decisive_action();
+        match (self.mode, action) {
+            (Mode::Drive | Mode::Hold, Some(_)) => self.transition(now, Mode::Stop),
+            (Mode::Stop, None) if standing => {
+                self.stand_here(now);
+                match self.goal {
+                    Some(_) if self.paused => self.transition(now, Mode::Hold),
+                    Some(_) => self.begin_drive(now),
+                    None => self.transition(now, Mode::Standby),
+                }
+            }
+            // Somebody pushed the car: it stands elsewhere now.
+            (Mode::Disarmed | Mode::Standby, _) if standing => {
+                let planned = self.committed.newest().trajectory.last().path.position;
+                if state.is_some_and(|(pose, _)| (pose.position - planned).norm() > PUSHED_M) {
+                    self.stand_here(now);
+                }
+            }
+            _ => {}
+        }
+        if self.mode == Mode::Stop {
+            self.braking |= action == Some(Action::BrakeNow);
+        } else {
+            self.braking = false;
+        }
+    }
+
     fn send(&mut self, now: Instant, setpoint: ForceSetpoint) {
         if now >= self.next_tail {
             self.next_tail = now.offset_by(self.params.autopilot.tail_period_s);
-            self.send_tail();
+            self.send_tail(now);
         }
         let decision = self.guard.check(now, setpoint);
-        let stops = self.guard.counts().stops;
-        if stops > self.statistics.guard_stops {
-            self.statistics.guard_stops = stops;
+        self.statistics.guard_stops = self.guard.counts().stops;
+        if self.guard.stopping().is_some() {
             self.raise(now, Fault::GuardStop);
-        } else if decision.intervened.is_none() {
-            self.clear(now, Fault::GuardStop);
         }
         match self.encoder.encode_setpoint(&decision.setpoint) {
             Ok(frame) => self.frames.push_back(frame),
@@ -634,8 +730,10 @@ impl Autopilot {
         }
     }
 
-    fn send_tail(&mut self) {
-        let Some((odometry, pose)) = self.localizer.newest() else { return };
+    fn send_tail(&mut self, now: Instant) {
+        // Without a pose that can be believed the tail that the car holds is the better one.
+        let newest = self.localizer.newest().filter(|_| self.is_pose_trusted());
+        let Some((odometry, pose)) = newest else { return };
         let plan = self.committed.current();
         let tail = braking_tail(
             plan.number as u16,
@@ -649,7 +747,10 @@ impl Autopilot {
         let _ = self.guard.handle_tail(&tail);
         self.tail_frames.clear();
         match self.encoder.encode_tail(&tail, &mut self.tail_frames) {
-            Ok(()) => self.frames.extend(self.tail_frames.drain(..)),
+            Ok(()) => {
+                self.health.note_tail(now, tail.plan);
+                self.frames.extend(self.tail_frames.drain(..));
+            }
             Err(_) => self.statistics.tails_unsendable += 1,
         }
     }
@@ -664,65 +765,5 @@ impl Autopilot {
             self.stand_here(now);
             self.transition(now, Mode::Standby);
         }
-    }
-
-    fn check_health(&mut self, now: Instant) {
-        let age = |at: Option<Instant>| at.map_or(f64::INFINITY, |at| now.seconds_after(at));
-        let driving = matches!(self.mode, Mode::Drive | Mode::Hold | Mode::Stop);
-        while self.inputs.corrupt_at.front().is_some_and(|at| now.seconds_after(*at) > 1.0) {
-            self.inputs.corrupt_at.pop_front();
-        }
-        let corrupt = self.inputs.corrupt_at.len() as u32;
-        let late_plan = self.mode == Mode::Drive && age(Some(self.last_adopted)) > PLAN_TIMEOUT_S;
-        let by_itself = [
-            (Fault::ScanLate, driving && age(self.inputs.scan_received) > SCAN_TIMEOUT_S),
-            (
-                Fault::OdometryLate,
-                driving && age(self.inputs.odometry_received) > ODOMETRY_TIMEOUT_S,
-            ),
-            (
-                Fault::StatusLost,
-                driving && age(self.inputs.status.map(|(at, _)| at)) > STATUS_TIMEOUT_S,
-            ),
-            (Fault::CorruptFrames, corrupt >= CORRUPT_FRAMES_PER_S),
-            (Fault::PlannerLate, late_plan),
-        ];
-        for (fault, active) in by_itself {
-            if active {
-                self.raise(now, fault);
-            } else {
-                self.clear(now, fault);
-            }
-        }
-        let error = &self.last_error;
-        if self.mode == Mode::Drive
-            && error.lateral_m.abs() > self.params.autopilot.tracking_error_max_m
-        {
-            self.raise(now, Fault::TrackingError);
-        }
-    }
-
-    /// Why the car cannot be armed.
-    fn check_ready(&self, now: Instant) -> Result<(), Refusal> {
-        let fresh = |at: Option<Instant>, limit_s: f64| {
-            at.is_some_and(|at| now.seconds_after(at) <= limit_s)
-        };
-        if !fresh(self.inputs.odometry_received, ODOMETRY_TIMEOUT_S) {
-            return Err(Refusal::NoOdometry);
-        }
-        if !fresh(self.inputs.scan_received, SCAN_TIMEOUT_S) {
-            return Err(Refusal::NoScan);
-        }
-        let Some((at, status)) = self.inputs.status else { return Err(Refusal::NoStatus) };
-        if !fresh(Some(at), STATUS_TIMEOUT_S) {
-            return Err(Refusal::NoStatus);
-        }
-        if status.emergency_stop {
-            return Err(Refusal::EmergencyStop);
-        }
-        if self.localizer.speed_at(now).abs() > REST_SPEED_MPS {
-            return Err(Refusal::Moving);
-        }
-        Ok(())
     }
 }

@@ -1,7 +1,6 @@
 //! New parameters for a running core, and jobs that will never come back.
 
 use super::{Autopilot, CoreParams, Fault, Mode};
-use crate::command::CarStatus;
 use crate::control::Tracker;
 use crate::time::{Duration, Instant};
 
@@ -10,27 +9,24 @@ impl Autopilot {
     /// take effect at the next start must be as before, those that wait for rest as before unless
     /// the car [is at rest](Self::is_at_rest).
     pub fn set_params(&mut self, params: CoreParams) {
-        self.tracker = Tracker::new(&params.vehicle, &params.control);
+        self.tracker = Tracker::new(&params.vehicle, &params.control, params.autopilot.tick_s());
         self.guard.set_params(&params.vehicle, &params.guard);
         if self.mode != Mode::Drive {
             // What comes back was made for another car.
-            self.in_flight = None;
-            self.job = None;
+            self.void_job();
         }
         self.params = params;
     }
 
     /// Whether the car stands and is not about to drive.
     pub fn is_at_rest(&self, now: Instant) -> bool {
-        let standing =
-            self.state(now).is_none_or(|(_, speed)| speed.abs() < super::REST_SPEED_MPS);
+        let standing = self.state(now).is_none_or(|(_, speed)| speed.abs() < super::REST_SPEED_MPS);
         standing && self.mode != Mode::Drive
     }
 
     /// A planning job that was asked for will never be answered.
     pub fn handle_job_lost(&mut self, now: Instant, number: u32) {
-        if self.in_flight == Some(number) {
-            self.in_flight = None;
+        if self.in_flight.take_if(|job| job.number == number).is_some() {
             self.raise(now, Fault::PlannerLate);
         }
     }
@@ -39,10 +35,5 @@ impl Autopilot {
     /// in motion.
     pub fn take_plan_ages(&mut self) -> impl Iterator<Item = Duration> + '_ {
         self.statistics.plan_ages.drain(..)
-    }
-
-    /// The newest word of the car's controller, and when it came.
-    pub const fn car_status(&self) -> Option<&(Instant, CarStatus)> {
-        self.inputs.status.as_ref()
     }
 }

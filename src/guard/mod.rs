@@ -174,9 +174,19 @@ impl Guard {
     /// Takes up an odometry reading.
     pub fn handle_odometry(&mut self, odometry: &Odometry) {
         if self.track.push(odometry) == Reading::Restarted {
-            // All positions belong to the frame that has gone.
-            (self.view, self.tail, self.escape) = (None, None, None);
+            self.forget_places();
         }
+    }
+
+    /// The next reading belongs to other totals: the car's controller was restarted.
+    pub fn begin_anew(&mut self) {
+        self.track.begin_anew();
+        self.forget_places();
+    }
+
+    /// All positions belong to a frame that has gone.
+    fn forget_places(&mut self) {
+        (self.view, self.tail, self.escape) = (None, None, None);
     }
 
     /// Takes up a raw scan. One without a known pose at its stamp is not used.

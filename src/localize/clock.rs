@@ -8,10 +8,14 @@ use crate::time::Instant;
 
 /// Clocks drift apart by at most this much (cheap quartz: 100 parts in a million each).
 const DRIFT_MAX: f64 = 200e-6;
-/// A frame that seems to be later than this did not wait on the bus: the car's clock was set back.
-const JUMP_S: f64 = 1.0;
-/// So many such frames in a row make a jump (a computer that slept gives only one burst).
-const JUMP_COUNT: u32 = 5;
+/// A clock that goes back by more than this, or ahead by more than that, has jumped. Reordering on
+/// the bus explains the one up to its limit, nothing explains the other.
+const BACK_S: f64 = 1.0;
+const AHEAD_S: f64 = 0.2;
+/// Frames that seem to be later than this, so many in a row, did not all wait on the bus: the car's
+/// clock was set back.
+const LATE_S: f64 = 0.05;
+const LATE_COUNT: u32 = 5;
 
 /// A moment on the car's clock, on the core's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,6 +30,7 @@ pub struct CarClockReading {
 #[derive(Clone, Debug, Default)]
 pub struct ClockMap {
     state: Option<State>,
+    excused_until: Instant,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +48,11 @@ impl ClockMap {
         Self::default()
     }
 
+    /// Frames received until then may be late for reasons of ours (this process stood still).
+    pub fn excuse(&mut self, until: Instant) {
+        self.excused_until = until;
+    }
+
     /// Maps the car's clock reading (microseconds, not wrapped) of a frame that arrived at
     /// `received`.
     pub fn map(&mut self, car_us: u64, received: Instant) -> CarClockReading {
@@ -56,11 +66,12 @@ impl ClockMap {
                 let drift_s = DRIFT_MAX * received.seconds_after(old.received).max(0.0);
                 let mut state = State { received, car_us: car_us.max(old.car_us), ..old };
                 state.offset_s += drift_s;
-                state.late = if sample_s > state.offset_s + JUMP_S { old.late + 1 } else { 0 };
+                let late = sample_s > state.offset_s + LATE_S && received > self.excused_until;
+                state.late = if late { old.late + 1 } else { 0 };
                 // Back by more than reordering on the bus explains, or ahead all of a sudden.
-                let back = old.car_us.saturating_sub(car_us) as f64 * 1e-6 > JUMP_S;
-                let ahead = sample_s < state.offset_s - JUMP_S;
-                jumped = back || ahead || state.late >= JUMP_COUNT;
+                let back = old.car_us.saturating_sub(car_us) as f64 * 1e-6 > BACK_S;
+                let ahead = sample_s < state.offset_s - AHEAD_S;
+                jumped = back || ahead || state.late >= LATE_COUNT;
                 if jumped { fresh } else { state }
             }
         };

@@ -33,6 +33,12 @@ impl Localizer {
         self.track.push(odometry)
     }
 
+    /// The next reading belongs to other totals (the controller was restarted): goes on from the
+    /// last pose, which can no longer be trusted.
+    pub fn begin_anew(&mut self) {
+        self.track.begin_anew();
+    }
+
     /// Pose at a moment, map frame: interpolated for a scan's stamp, carried on with speed,
     /// acceleration and curvature beyond the newest reading, the start before the first one.
     /// `None` for moments longer ago than [`MEMORY_S`].

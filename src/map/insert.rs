@@ -134,6 +134,14 @@ impl Mapper {
         self.grid = Arc::new(Grid::new(self.params.resolution_m));
     }
 
+    /// Forgets everything but the bounds: cells go back to unknown.
+    pub fn forget(&mut self) {
+        let bounds = self.grid.bounds();
+        let mut blank = Grid::new(self.grid.resolution_m());
+        blank.grow_to(bounds);
+        self.grid = Arc::new(blank);
+    }
+
     /// Takes a scan measured at `pose` (body frame in the map frame; the lidar sits at the body
     /// origin).
     ///

@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use super::{ENVIRONMENT_PREFIX, Params, SectionTable};
+use super::{ENVIRONMENT_PREFIX, Params, SectionTable, id_of};
 use crate::tunable::{Allowed, Change, Tunable, Value};
 
 /// Width to which comments are wrapped.
@@ -19,7 +19,7 @@ fn change_text(change: Change) -> &'static str {
 }
 
 /// A value as TOML writes it.
-fn toml_value(value: &Value) -> String {
+pub(super) fn toml_value(value: &Value) -> String {
     match value {
         Value::Real(v) => toml::Value::Float(*v).to_string(),
         Value::Integer(v) => v.to_string(),
@@ -89,24 +89,28 @@ pub fn markdown() -> String {
         out,
         "1. the defaults below,\n\
          2. a TOML file, `--config FILE` (`params/rc-car.toml` is a complete one),\n\
-         3. environment variables, `{ENVIRONMENT_PREFIX}SECTION__KEY=value`,\n\
-         4. `--set section.key=value` on the command line (`--set key=value` where only one \
+         3. what ground stations have set, kept in the state directory (`parameters.toml`),\n\
+         4. environment variables, `{ENVIRONMENT_PREFIX}SECTION__KEY=value`,\n\
+         5. `--set section.key=value` on the command line (`--set key=value` where only one \
          section has the key).\n\n\
          `apexd check FILE` says what is wrong with a file. A new value takes effect *at once*, \
-         only while the car is *at rest*, or *at the next start*.\n"
+         only while the car is *at rest*, or *at the next start*. Ground \
+         stations know a parameter by its MAVLink id; those without one they do not see.\n"
     );
     for section in Params::table() {
         let _ = write!(out, "\n## `[{}]`\n\n{}\n\n", section.name, section.text);
-        out.push_str("| parameter | default | allowed | takes effect | meaning |\n");
-        out.push_str("|---|---|---|---|---|\n");
+        out.push_str("| parameter | default | allowed | takes effect | MAVLink id | meaning |\n");
+        out.push_str("|---|---|---|---|---|---|\n");
         for row in &section.rows {
             let _ = writeln!(
                 out,
-                "| `{}` | {} | {} | {} | {} |",
+                "| `{}` | {} | {} | {} | {} | {} |",
                 row.name,
                 cell(&toml_value(&row.default)),
                 cell(&row.allowed_text()),
                 change_text(row.change),
+                id_of(section.name, row.name, &row.allowed)
+                    .map_or_else(String::new, |id| format!("`{id}`")),
                 cell(row.text)
             );
         }

@@ -15,6 +15,11 @@ pub enum Origin {
         /// Line of the parameter, from 1.
         line: Option<usize>,
     },
+    /// What a ground station set, as it was kept.
+    Kept {
+        /// Its file.
+        name: String,
+    },
     /// An environment variable.
     Environment {
         /// Its name.
@@ -37,6 +42,7 @@ impl fmt::Display for Origin {
         match self {
             Self::File { name, line: Some(line) } => write!(f, "{name}:{line}"),
             Self::File { name, line: None } => write!(f, "{name}"),
+            Self::Kept { name } => write!(f, "{name}"),
             Self::Environment { variable } => write!(f, "environment variable {variable}"),
             Self::Set { assignment } => write!(f, "--set {assignment}"),
             Self::Flag { flag } => write!(f, "{flag}"),

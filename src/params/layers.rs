@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 
 use config::{Source, ValueKind};
 
+use super::document::toml_value;
 use super::fault::{nearest_key, nearest_section};
 use super::{Fault, Faults, Origin, Params, Problem, keys, row};
 use crate::tunable::{Allowed, Tunable, TunableError, Value};
@@ -112,6 +113,20 @@ impl Layers {
     pub fn unreadable_file(&mut self, name: &str, error: &dyn std::error::Error) -> &mut Self {
         let origin = Origin::File { name: name.to_owned(), line: None };
         self.fault(origin, "", Problem::Unreadable(error.to_string()))
+    }
+
+    /// The text that [`kept_text`] made of what ground stations set. What is not acceptable (any
+    /// more) is passed over and handed back: it must not keep the program from starting.
+    pub fn kept(&mut self, name: &str, text: &str) -> (BTreeMap<String, Value>, Faults) {
+        let mut own = Self::new();
+        own.file(name, text);
+        let mut layer = own.layers.pop().unwrap_or_default();
+        let origin = Origin::Kept { name: name.to_owned() };
+        layer.values.values_mut().for_each(|(from, _)| *from = origin.clone());
+        let values = layer.values.iter().map(|(key, (_, value))| (key.clone(), value.clone()));
+        let values = values.collect();
+        self.layers.push(layer);
+        (values, Faults(own.faults))
     }
 
     /// Environment variables; those whose names do not begin with [`ENVIRONMENT_PREFIX`] are
@@ -241,6 +256,21 @@ impl Layers {
         self.faults.push(Fault { origin, key: key.to_owned(), problem });
         self
     }
+}
+
+/// Values as a file that [`Layers::kept`] reads.
+pub fn kept_text(values: &BTreeMap<String, Value>) -> String {
+    let mut out = String::from("# Set by ground stations; over the configuration file.\n");
+    let mut last = "";
+    for (key, value) in values {
+        let Some((section, name)) = key.split_once('.') else { continue };
+        if section != last {
+            out.push_str(&format!("\n[{section}]\n"));
+            last = section;
+        }
+        out.push_str(&format!("{name} = {}\n", toml_value(value)));
+    }
+    out
 }
 
 /// The `section.name` that a short form stands for; a key with a section stands for itself.

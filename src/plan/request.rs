@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::certify::Violation;
 use super::{Path, PlannerParams, Trajectory};
+use crate::fence::Fence;
 use crate::frames::{Point, Pose};
 use crate::map::{CellRect, Grid};
 use crate::predict::{OccupancyView, PredictReport};
@@ -37,6 +38,13 @@ pub struct PlanRequest {
     pub takes_over: Instant,
     /// Where to go.
     pub goal: Goal,
+    /// A speed that is not to be exceeded, m/s, besides the one of the parameters; infinite if
+    /// there is none. It only ever makes the car slower.
+    pub speed_cap_mps: f64,
+    /// Where the car may drive at all.
+    pub fence: Arc<Fence>,
+    /// Whether the way is to lead through space that is known to be free, if there is such a way.
+    pub through_known: bool,
 }
 
 /// A certified plan.

@@ -178,6 +178,7 @@ pub fn drive(request: &CarRequest) -> Result<CarEnding, RunError> {
 
 fn setup(request: &CarRequest) -> Result<SoloSetup, RunError> {
     let place = request.place.place()?;
+    let goal = place.needed_goal()?;
     let script = match &request.script {
         None => Script::default(),
         Some(file) => {
@@ -192,7 +193,7 @@ fn setup(request: &CarRequest) -> Result<SoloSetup, RunError> {
     Ok(SoloSetup {
         world: place.world,
         start: place.start,
-        goal: place.goal,
+        goal,
         goal_radius_m: params.autopilot.goal_radius_m,
         margin_m: params.certify.margin_m,
         vehicle: params.vehicle.clone(),

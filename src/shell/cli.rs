@@ -1,12 +1,18 @@
 //! The command line's grammar.
 
+mod run;
+
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgAction, Args, Parser, Subcommand};
 
+pub use run::RunArgs;
+
 use super::car::CarRequest;
 use super::configuration::Flag;
+use super::experiment::args::ExperimentArgs;
+use super::mavlink::LinkUrl;
 use super::place::{PlaceRequest, WorldSource};
 use super::sil::SilRequest;
 use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
@@ -23,7 +29,8 @@ use crate::wire::can::Layout;
 /// Drives an RC-scale car fast and safely through places it has never seen.
 ///
 /// Exit codes: 0 done and goal reached; 1 the run failed (stuck, out of time, collision,
-/// unreachable); 2 bad usage or bad input; 78 bad configuration (file, environment or --set).
+/// unreachable); 2 bad usage or bad input; 75 a ground station asked for a restart; 78 bad
+/// configuration (file, environment or --set).
 #[derive(Debug, Parser)]
 #[command(name = "apexd", version)]
 pub struct Cli {
@@ -54,6 +61,8 @@ pub enum Command {
     Dataset(Box<DatasetArgs>),
     /// Score what predicts occupancy, on scenes that it has not seen.
     Evaluate(Box<EvaluateArgs>),
+    /// Re-run the paper's experiments, or look for unsafe drives at random.
+    Experiment(ExperimentArgs),
     /// Print the table of parameters.
     Params(ParamsArgs),
     /// Say what is wrong with a configuration file.
@@ -79,7 +88,7 @@ pub struct WorldArgs {
         long,
         value_name = "FILE.yaml",
         conflicts_with_all = ["maze", "family"],
-        requires_all = ["start", "goal"],
+        requires = "start",
         help_heading = "World"
     )]
     pub map: Option<PathBuf>,
@@ -167,6 +176,13 @@ pub struct SilArgs {
     #[arg(long, help_heading = "Simulation")]
     pub realtime: bool,
 
+    /// Let ground stations join by this MAVLink link, in real time: udpin:HOST:PORT,
+    /// udpout:HOST:PORT, tcpin:HOST:PORT, tcpout:HOST:PORT, serial:DEVICE:BAUD; may be repeated.
+    /// Without --goal the car waits for one and the drive goes on until it is interrupted. The
+    /// parameter mavlink.links is not looked at: a simulation opens nothing by itself.
+    #[arg(long, value_name = "URL", help_heading = "Simulation")]
+    pub mavlink: Vec<LinkUrl>,
+
     /// Draw what the planner foresaw this many seconds after the first motion. If not given, halfway
     /// through the drive.
     #[arg(long, value_name = "SECONDS", value_parser = not_negative, help_heading = "Output")]
@@ -230,7 +246,8 @@ impl SilArgs {
             seed: self.seed,
             latency: self.latency,
             time_limit_s: self.time_limit,
-            realtime: self.realtime,
+            realtime: self.realtime || !self.mavlink.is_empty(),
+            links: self.mavlink.clone(),
             snapshot_s: self.snapshot,
             params,
             out,
@@ -307,70 +324,6 @@ impl CarArgs {
             truth: self.truth.clone(),
             params,
         }
-    }
-}
-
-/// Options of `apexd run`.
-///
-/// Runs until it is told to end (Ctrl-C, SIGTERM): the car then comes to rest first, and the exit
-/// code is 0; told again, it ends at once. SIGHUP or a change of the configuration file re-reads
-/// the configuration: parameters that take effect at once do so, those that wait for rest if the
-/// car is at rest, and the others are refused by name.
-#[derive(Args, Debug)]
-pub struct RunArgs {
-    /// Where the car stands when the daemon starts: metres in the map frame, degrees
-    /// counter-clockwise from map x. 0,0,0 if not given.
-    #[arg(
-        long,
-        value_name = "X,Y,DEG",
-        value_parser = pose,
-        allow_hyphen_values = true,
-        help_heading = "Drive"
-    )]
-    pub start: Option<Pose>,
-    /// Where to drive: metres in the map frame. The daemon arms by itself as soon as the checks
-    /// pass, and says what it waits for; not after a run that ended unexpectedly.
-    #[arg(
-        long,
-        value_name = "X,Y",
-        value_parser = point,
-        allow_hyphen_values = true,
-        help_heading = "Drive"
-    )]
-    pub goal: Option<Point>,
-    /// End at the goal instead of waiting there, armed, for another one.
-    #[arg(long, requires = "goal", help_heading = "Drive")]
-    pub until_goal: bool,
-    /// End after so many seconds, the car at rest; a goal not reached by then is a failure.
-    #[arg(long, value_name = "SECONDS", value_parser = positive, help_heading = "Drive")]
-    pub time_limit: Option<f64>,
-
-    /// The CAN interface [parameter can.interface].
-    #[arg(long, value_name = "IFACE", help_heading = "Configuration")]
-    pub can: Option<String>,
-    /// Configuration file (TOML) over the built-in defaults.
-    #[arg(long, value_name = "FILE", help_heading = "Configuration")]
-    pub config: Option<PathBuf>,
-    /// Set one parameter, over file and environment (`apexd params` has them all); may be repeated.
-    #[arg(
-        long,
-        value_name = "SECTION.KEY=VALUE",
-        allow_hyphen_values = true,
-        help_heading = "Configuration"
-    )]
-    pub set: Vec<String>,
-
-    /// Print the statistics as one JSON object at the end.
-    #[arg(long, help_heading = "Output")]
-    pub json: bool,
-}
-
-impl RunArgs {
-    /// The parameters that have options of their own, as far as they are given.
-    pub(super) fn flags(&self) -> Vec<Flag> {
-        let interface = self.can.clone().map(Value::Text);
-        let flag = |value| Flag { option: "--can", key: "can.interface", value };
-        interface.map(flag).into_iter().collect()
     }
 }
 
@@ -644,7 +597,7 @@ fn choice<T: Copy + Send + Sync + 'static>(
     })
 }
 
-fn family() -> impl TypedValueParser<Value = Family> {
+pub(super) fn family() -> impl TypedValueParser<Value = Family> {
     choice(Family::ALL, Family::name, Family::text)
 }
 
@@ -712,7 +665,7 @@ fn point(text: &str) -> Result<Point, String> {
     Ok(Point::new(x, y))
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| "wanted is a number above zero".to_owned())
 }
@@ -722,7 +675,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "wanted is a number of seconds, zero or more".to_owned())
 }
 
-fn latency(text: &str) -> Result<Latency, String> {
+pub(super) fn latency(text: &str) -> Result<Latency, String> {
     if text == "measured" {
         return Ok(Latency::Measured);
     }

@@ -1,7 +1,8 @@
 //! Reads the layers of the configuration from where they are kept.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::shown;
 use crate::params::{ENVIRONMENT_PREFIX, Faults, Layers, Params};
@@ -18,16 +19,38 @@ pub struct Flag {
     pub value: Value,
 }
 
-/// Defaults, file, environment, `--set` and options, each over the one before.
+/// What ground stations set is kept in this file of the state directory.
+const KEPT: &str = crate::ground::KEPT_PARAMETERS;
+
+/// Defaults, file, what ground stations set, environment, `--set` and options, each over the one
+/// before.
 pub fn load(
     file: Option<&Path>,
     environment: &[(OsString, OsString)],
     set: &[String],
     flags: &[Flag],
 ) -> Result<Params, Faults> {
+    // Where things are kept is itself configured, but never by what is kept there.
+    let first = layers(file, None, environment, set, flags).build()?;
+    let Some(kept) = state_directory(&first, environment).map(|state| state.join(KEPT)) else {
+        return Ok(first);
+    };
+    layers(file, Some(&kept), environment, set, flags).build()
+}
+
+fn layers(
+    file: Option<&Path>,
+    kept: Option<&Path>,
+    environment: &[(OsString, OsString)],
+    set: &[String],
+    flags: &[Flag],
+) -> Layers {
     let mut layers = Layers::new();
     if let Some(file) = file {
         read(&mut layers, file);
+    }
+    if let Some(kept) = kept {
+        put_kept(&mut layers, kept);
     }
     let mut texts = Vec::new();
     for (name, value) in environment {
@@ -49,7 +72,45 @@ pub fn load(
     for Flag { option, key, value } in flags {
         layers.flag(option, key, value);
     }
-    layers.build()
+    layers
+}
+
+/// What ground stations set; it is said which values those are. A mistake in there keeps nothing from
+/// starting.
+fn put_kept(layers: &mut Layers, path: &Path) {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return,
+        Err(error) => {
+            tracing::warn!("cannot read {}: {error}", shown(path));
+            return;
+        }
+    };
+    let (values, faults) = layers.kept(&shown(path), &text);
+    for (key, value) in values {
+        tracing::info!("{key} = {value} from {}, set by a ground station", shown(path));
+    }
+    for fault in &faults.0 {
+        tracing::warn!("passed over: {fault}");
+    }
+}
+
+/// The values that ground stations set and that are kept.
+pub fn kept(state_directory: Option<&Path>) -> BTreeMap<String, Value> {
+    let path = state_directory.map(|state| state.join(KEPT));
+    let text = path.as_deref().and_then(|path| std::fs::read_to_string(path).ok());
+    text.map_or_else(BTreeMap::new, |text| Layers::new().kept(KEPT, &text).0)
+}
+
+/// Where a program keeps what it must remember; of several directories from systemd the first.
+pub fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
+    let configured = &params.daemon.state_directory;
+    if !configured.is_empty() {
+        return Some(configured.into());
+    }
+    let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
+    let first = value.to_str()?.split(':').next()?;
+    (!first.is_empty()).then(|| first.into())
 }
 
 /// A file by itself.

@@ -9,7 +9,10 @@ mod configuration;
 pub mod daemon;
 mod dataset;
 mod evaluate;
+mod experiment;
 mod folder;
+mod load;
+pub mod mavlink;
 mod pace;
 pub mod place;
 mod progress;
@@ -42,6 +45,8 @@ pub enum Exit {
     Failed = 1,
     /// Bad usage or bad input.
     Usage = 2,
+    /// Ended in order to be started anew (`EX_TEMPFAIL`): a service manager takes it for a failure.
+    Restart = 75,
     /// Bad configuration: file, environment or `--set` (`EX_CONFIG` of sysexits.h).
     Configuration = 78,
 }
@@ -79,6 +84,7 @@ fn execute(
         Command::Maze(args) => maze(args, simulator, out),
         Command::Dataset(args) => dataset::run(args, terminal, out),
         Command::Evaluate(args) => evaluate::run(args, terminal, out),
+        Command::Experiment(args) => experiment::run(args, terminal, out),
         Command::Params(args) => params(*args, out),
         Command::Check(args) => check(args, out),
     }
@@ -129,7 +135,13 @@ fn drive(
         complain(&error.to_string());
         return Exit::Failed;
     }
-    if summary.outcome == Outcome::Goal { Exit::Done } else { Exit::Failed }
+    let done = match summary.outcome {
+        Outcome::Goal => true,
+        // Nothing was asked of the drive itself.
+        Outcome::Interrupted => request.is_attended(),
+        _ => false,
+    };
+    if done { Exit::Done } else { Exit::Failed }
 }
 
 fn car(args: &CarArgs, environment: &[(OsString, OsString)], out: &mut dyn Write) -> Exit {

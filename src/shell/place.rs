@@ -49,7 +49,7 @@ pub struct PlaceRequest {
     pub world: WorldSource,
     /// Where to begin, map frame; the maze's own start if not given. Always given with a map.
     pub start: Option<Pose>,
-    /// Where to go, map frame; the maze's own goal if not given. Always given with a map.
+    /// Where to go, map frame; the maze's own goal if not given.
     pub goal: Option<Point>,
 }
 
@@ -59,8 +59,19 @@ pub(super) struct Place {
     pub world: World,
     /// Where to begin.
     pub start: Pose,
+    /// Where to go, if anybody has said so.
+    goal: Option<Point>,
+}
+
+impl Place {
     /// Where to go.
-    pub goal: Point,
+    pub(super) fn needed_goal(&self) -> Result<Point, RunError> {
+        self.goal.ok_or_else(|| missing("goal X,Y"))
+    }
+}
+
+fn missing(what: &str) -> RunError {
+    RunError::Input(format!("a map needs --{what}").into())
 }
 
 impl PlaceRequest {
@@ -71,18 +82,15 @@ impl PlaceRequest {
                 let maze = maze::generate(*family, *seed, MAZE_RESOLUTION_M).map_err(input)?;
                 Ok(Place {
                     start: self.start.unwrap_or(maze.start),
-                    goal: self.goal.unwrap_or(maze.goal),
+                    goal: self.goal.or(Some(maze.goal)),
                     world: maze.world,
                 })
             }
-            WorldSource::Map { file } => {
-                let missing = |what: &str| RunError::Input(format!("a map needs --{what}").into());
-                Ok(Place {
-                    start: self.start.ok_or_else(|| missing("start X,Y,DEG"))?,
-                    goal: self.goal.ok_or_else(|| missing("goal X,Y"))?,
-                    world: World::from_map(&mapfile::load(file).map_err(input)?),
-                })
-            }
+            WorldSource::Map { file } => Ok(Place {
+                start: self.start.ok_or_else(|| missing("start X,Y,DEG"))?,
+                goal: self.goal,
+                world: World::from_map(&mapfile::load(file).map_err(input)?),
+            }),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::mavlink::LinkUrl;
 use super::place::PlaceRequest;
 use super::report::{DriveRecord, outcome_text};
 use crate::params::Params;
@@ -24,6 +25,8 @@ pub struct SilRequest {
     pub time_limit_s: Option<f64>,
     /// Keep pace with the wall clock.
     pub realtime: bool,
+    /// MAVLink links. With any of them and without a goal, the car waits for one.
+    pub links: Vec<LinkUrl>,
     /// When to look at the prediction, seconds from the first motion on; halfway if not given.
     pub snapshot_s: Option<f64>,
     /// The validated parameters.
@@ -33,12 +36,19 @@ pub struct SilRequest {
 }
 
 impl SilRequest {
+    /// Whether ground stations say where to drive and when it is over.
+    pub fn is_attended(&self) -> bool {
+        !self.links.is_empty() && self.place.goal.is_none()
+    }
+
     /// What is driven, in a few words: world, policy and predictor.
     pub fn title(&self) -> String {
         let world = self.place.world.title();
         let policy = self.params.plan.policy;
         let predictor = match policy {
-            Policy::MapPredictive => format!(", {}", self.predictor()),
+            Policy::MapPredictive | Policy::Janson | Policy::JansonLite => {
+                format!(", {}", self.predictor())
+            }
             Policy::Frontier | Policy::KnownMap => String::new(),
         };
         format!("{world} · {}{predictor}", policy.name())

@@ -3,15 +3,14 @@
 
 use std::path::Path;
 
+use super::mavlink::Attended;
 use super::pace;
 use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
 use super::sil::{Progress, RunError, SilRequest, Simulator, input};
-use crate::autopilot::{Action, CoreParams, Event};
+use crate::autopilot::{Action, Event};
 use crate::frames::Point;
 use crate::mapfile;
-use crate::params::Params;
-use crate::plan::PlannerParams;
 use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
 use crate::sim::rig::{Rig, RigSetup};
@@ -29,11 +28,22 @@ impl Simulator for RigSimulator {
         request: &SilRequest,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<DriveRecord, RunError> {
-        let place = request.place.place()?;
+        let mut wanted = request.place.clone();
+        if request.is_attended() {
+            // Nobody looks at it: the ground station says where to go.
+            wanted.goal = wanted.start.map(|start| start.position);
+        }
+        let place = wanted.place()?;
         warn_of_load(&request.params);
         let truth = walls(&place.world);
-        let (start, goal) = (place.start, place.goal);
-        let mut rig = Rig::new(setup(request, place)).map_err(input)?;
+        let start = place.start;
+        let mut goal = if request.is_attended() { None } else { Some(place.needed_goal()?) };
+        let mut attended = if request.links.is_empty() {
+            None
+        } else {
+            Some(Attended::start(&request.params, &request.links, start).map_err(input)?)
+        };
+        let mut rig = Rig::new(setup(request, place, goal)).map_err(input)?;
         rig.keep_snapshot(request.snapshot_s);
 
         let begin = pace::now();
@@ -41,6 +51,11 @@ impl Simulator for RigSimulator {
         pace::drive(&mut rig, request.realtime, |rig| {
             while let Some(event) = rig.poll_event() {
                 log(&event);
+                attended.iter().for_each(|attended| attended.tell(&event));
+            }
+            if let Some(attended) = &mut attended {
+                attended.attend(rig);
+                goal = rig.core().goal().map(|goal| goal.position).or(goal);
             }
             let now_s = rig.now().as_secs_f64();
             if now_s >= next_progress_s {
@@ -49,7 +64,7 @@ impl Simulator for RigSimulator {
                     time_s: now_s,
                     speed_mps: rig.car().speed_mps,
                     distance_m: rig.distance_m(),
-                    remaining_m: remaining_m(rig, goal),
+                    remaining_m: goal.map_or(0.0, |goal| remaining_m(rig, goal)),
                     replans: rig.core().statistics().replans,
                 });
             }
@@ -66,7 +81,7 @@ impl Simulator for RigSimulator {
             truth,
             snapshot: rig.snapshot().cloned(),
             start,
-            goal,
+            goal: goal.unwrap_or(start.position),
             goal_radius_m: request.params.autopilot.goal_radius_m,
             speed_limit_mps: request.params.speed.speed_max_mps,
             force_limit_n: vehicle.mass_kg * vehicle.acceleration_limit_mps2(),
@@ -79,15 +94,15 @@ impl Simulator for RigSimulator {
     }
 }
 
-fn setup(request: &SilRequest, place: Place) -> RigSetup {
+fn setup(request: &SilRequest, place: Place, goal: Option<Point>) -> RigSetup {
     let params = &request.params;
     let begin = pace::now();
     RigSetup {
         world: place.world,
         start: place.start,
-        goal: Some(place.goal),
-        core: core_params(params),
-        planner: planner_params(params),
+        goal,
+        core: params.core(),
+        planner: params.planner(),
         predict: params.predict.clone(),
         bus: params.bus.clone(),
         lidar: params.lidar.clone(),
@@ -97,41 +112,15 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
         faults: FaultPlan::default(),
         seed: request.seed,
         latency: request.latency,
-        time_limit_s: request.time_limit_s,
+        // Nobody but the ground station knows how long it will take.
+        time_limit_s: request.time_limit_s.or(request.is_attended().then_some(f64::INFINITY)),
         stopwatch: Box::new(move || begin.elapsed()),
         planning: None,
     }
 }
 
-/// The core's parameters.
-pub(super) fn core_params(params: &Params) -> CoreParams {
-    CoreParams {
-        vehicle: params.vehicle.clone(),
-        autopilot: params.autopilot.clone(),
-        map: params.map.clone(),
-        control: params.control.clone(),
-        guard: params.guard.clone(),
-        certify: params.certify.clone(),
-        speed: params.speed.clone(),
-    }
-}
-
-/// The planner's parameters.
-pub(super) fn planner_params(params: &Params) -> PlannerParams {
-    PlannerParams {
-        vehicle: params.vehicle.clone(),
-        plan: params.plan.clone(),
-        search: params.search.clone(),
-        manoeuvre: params.manoeuvre.clone(),
-        smooth: params.smooth.clone(),
-        speed: params.speed.clone(),
-        certify: params.certify.clone(),
-        foreseen: params.foreseen.clone(),
-    }
-}
-
 /// Where solid and free touch, map frame.
-fn walls(world: &World) -> Vec<[Point; 2]> {
+pub(super) fn walls(world: &World) -> Vec<[Point; 2]> {
     let solid = |x: usize, y: usize| world.is_cell_solid(x as i64, y as i64);
     let (origin, resolution_m) = (world.origin(), world.resolution_m());
     outline(world.width(), world.height(), solid, |p| origin.to_map(p * resolution_m))

@@ -70,6 +70,7 @@ pub struct Controller {
     steering_pm: f64,
     emergency_stop: bool,
     lost: bool,
+    loss_toggle: bool,
     tail_usable: bool,
     tails_refused: u64,
 }
@@ -89,6 +90,7 @@ impl Controller {
             steering_pm: 0.0,
             emergency_stop: false,
             lost: false,
+            loss_toggle: false,
             tail_usable: false,
             tails_refused: 0,
         }
@@ -146,8 +148,9 @@ impl Controller {
 
         let age_s = self.setpoint.map_or(f64::INFINITY, |(at, _)| now.seconds_after(at));
         let drive = self.setpoint.map(|(_, s)| s).filter(|s| s.drive);
-        if drive.is_some() && age_s > self.params.setpoint_lost_s {
+        if drive.is_some() && age_s > self.params.setpoint_lost_s && !self.lost {
             self.lost = true;
+            self.loss_toggle = !self.loss_toggle;
         }
         let out = match drive {
             Some(setpoint) if !self.lost && !self.emergency_stop => {
@@ -168,6 +171,7 @@ impl Controller {
         CarStatus {
             emergency_stop: self.emergency_stop,
             setpoint_lost: self.lost,
+            loss_toggle: self.loss_toggle,
             tail_plan: self.tail.as_ref().filter(|_| self.tail_usable).map(TailCurve::plan),
             battery_v: self.params.battery_v,
             setpoint_age_s: self.setpoint.map_or(f64::INFINITY, |(at, _)| now.seconds_after(at)),

@@ -15,6 +15,7 @@ mod findings;
 mod geometry;
 mod guard_alone;
 mod instants;
+mod late;
 mod mutations;
 mod plans;
 mod prediction;

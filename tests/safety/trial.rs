@@ -5,7 +5,7 @@ use std::sync::Arc;
 use apexd::autopilot::CoreParams;
 use apexd::frames::{Point, Pose};
 use apexd::guard::GuardParams;
-use apexd::plan::{Planner, PlannerParams, Planning, Policy};
+use apexd::plan::{Planner, PlannerParams, Planning, Policy, Reading};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
 use apexd::sim::faults::{Cut, FaultPlan, FrameFault, Harm};
 use apexd::sim::lidar::LidarParams;
@@ -28,6 +28,7 @@ pub struct Trial {
     pub start: Pose,
     pub goal: Point,
     pub policy: Policy,
+    pub reading: Reading,
     pub predictor: PredictorKind,
     pub speed_mps: f64,
     pub lidar_hz: f64,
@@ -53,6 +54,7 @@ impl Trial {
             start,
             goal,
             policy: Policy::MapPredictive,
+            reading: Reading::Direct,
             predictor: PredictorKind::None,
             speed_mps: 4.0,
             lidar_hz: 20.0,
@@ -138,6 +140,7 @@ impl Trial {
     pub fn planner_params(&self) -> PlannerParams {
         let mut params = PlannerParams::default();
         params.plan.policy = self.policy;
+        params.plan.reading = self.reading;
         params.speed.speed_max_mps = self.speed_mps;
         params
     }
@@ -163,8 +166,15 @@ impl Trial {
 
     /// The same with another planner.
     pub fn rig_with(&self, planning: Box<dyn Planning>) -> Rig {
+        let mut rig = Rig::new(self.setup_with(planning)).expect("start and goal are free");
+        rig.keep_reports();
+        rig
+    }
+
+    /// What that is made of.
+    pub fn setup_with(&self, planning: Box<dyn Planning>) -> RigSetup {
         let planner = self.planner_params();
-        let setup = RigSetup {
+        RigSetup {
             world: self.world.clone(),
             start: self.start,
             goal: Some(self.goal),
@@ -186,9 +196,6 @@ impl Trial {
             time_limit_s: self.time_limit_s,
             stopwatch: Box::new(|| Duration::ZERO),
             planning: Some(planning),
-        };
-        let mut rig = Rig::new(setup).expect("start and goal are free");
-        rig.keep_reports();
-        rig
+        }
     }
 }

@@ -42,7 +42,8 @@ pub fn differences(old: &Params, new: &Params) -> Vec<(String, Value, Change)> {
     for section in Params::table() {
         for row in &section.rows {
             let key = format!("{}.{}", section.name, row.name);
-            if let Some(wanted) = new.get(&key).filter(|wanted| old.get(&key).as_ref() != Some(wanted))
+            if let Some(wanted) =
+                new.get(&key).filter(|wanted| old.get(&key).as_ref() != Some(wanted))
             {
                 found.push((key, wanted, row.change));
             }
@@ -98,10 +99,7 @@ mod tests {
             "vehicle.mass_kg stays 2.5: 3.0 takes effect at the next start"
         );
         let refused = apply(&mut params, "speed.speed_max_mps", &real(99.0), true).unwrap_err();
-        assert_eq!(
-            refused.to_string(),
-            "speed.speed_max_mps is 99.0, allowed is 0.1 to 20 m/s"
-        );
+        assert_eq!(refused.to_string(), "speed.speed_max_mps is 99.0, allowed is 0.1 to 20 m/s");
         assert!(apply(&mut params, "speed.sped", &real(1.0), true).is_err());
         assert_eq!(
             (params.speed.speed_max_mps, params.vehicle.friction, params.vehicle.mass_kg),

@@ -79,7 +79,8 @@ impl Keeper {
                 tracing::info!("the configuration file has changed");
                 self.reload();
             }
-            let now_full = self.state_directory.as_deref().map(|dir| is_full(dir, self.disk_free_min));
+            let now_full =
+                self.state_directory.as_deref().map(|dir| is_full(dir, self.disk_free_min));
             if now_full != full {
                 full = now_full;
                 // It is said again the next time, if there is no room now.

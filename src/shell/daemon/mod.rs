@@ -18,25 +18,26 @@ mod worker;
 
 use std::ffi::OsString;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::runtime;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc;
 
-pub use change::ChangeRefusal;
+pub use change::{ChangeRefusal, apply as apply_change};
 pub use params::DaemonParams;
-pub use seam::{CommandRefusal, CoreSnapshot, Request, Seam};
+pub use seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request, Seam};
 
 use super::can::CanLinkError;
 use super::cli::RunArgs;
 use super::clock::Clock;
-use super::simulator::{core_params, planner_params};
-use super::{Exit, complain, configuration, say};
+use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
+use super::{Exit, complain, configuration, configured, say};
 use crate::autopilot::Autopilot;
 use crate::frames::Pose;
-use crate::params::{Origin, Params};
+use crate::params::Params;
 use crate::plan::Policy;
 use control::{Control, Order, Outside, Pulse, Task, Word};
 use keeper::Keeper;
@@ -67,21 +68,15 @@ pub fn run(
     out: &mut dyn Write,
 ) -> Exit {
     let log = Log::new(verbose);
+    let file = args.config.as_deref();
+    let params = match configured(file, environment, &args.set, &args.flags()) {
+        Ok(params) => params,
+        Err(exit) => return exit,
+    };
     let layers = (args.config.clone(), environment.to_vec(), args.set.clone(), args.flags());
     let load = move || {
         let (file, environment, set, flags) = &layers;
         configuration::load(file.as_deref(), environment, set, flags)
-    };
-    let params = match load() {
-        Ok(params) => params,
-        Err(faults) if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) => {
-            complain(&faults.to_string());
-            return Exit::Usage;
-        }
-        Err(faults) => {
-            complain(&format!("bad configuration\n{faults}"));
-            return Exit::Configuration;
-        }
     };
     if params.plan.policy == Policy::KnownMap {
         complain("plan.policy known-map needs the true map, which only a simulated world gives");
@@ -90,10 +85,7 @@ pub fn run(
     if params.daemon.lock_memory {
         realtime::lock_memory();
     }
-    let planning = PlanningParams {
-        planner: planner_params(&params),
-        predict: params.predict.clone(),
-    };
+    let planning = PlanningParams { planner: params.planner(), predict: params.predict.clone() };
     let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
         Ok(worker) => worker,
         Err(error) => {
@@ -101,7 +93,7 @@ pub fn run(
             return Exit::Configuration;
         }
     };
-    let state_directory = state_directory(&params, environment);
+    let state_directory = configuration::state_directory(&params, environment);
     let marker = state_directory.as_deref().and_then(|directory| {
         Marker::set(directory)
             .inspect_err(|error| {
@@ -121,7 +113,23 @@ pub fn run(
 
     let (orders, when_ordered) = mpsc::channel(ORDERS_MAX);
     let (words, when_said) = std::sync::mpsc::channel();
-    let (_seam, inner_seam) = Seam::new();
+    let (seam, inner_seam) = Seam::new();
+    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
+    let restart = Arc::new(AtomicBool::new(false));
+    let joined = Joined {
+        seam,
+        start,
+        services: mavlink::services(&params, state_directory.as_deref()),
+        ender: ender(orders.clone(), Arc::clone(&restart)),
+    };
+    let mavlink = match join(&params, state_directory.as_deref(), joined) {
+        Ok(mavlink) => mavlink,
+        Err(error) => {
+            complain(&error.to_string());
+            end_well(marker);
+            return Exit::Configuration;
+        }
+    };
     let pulse = Arc::new(Pulse::default());
     let outside = Outside {
         orders: when_ordered,
@@ -138,9 +146,8 @@ pub fn run(
         config: args.config.clone(),
         state_directory,
         disk_free_min: keeper::disk_free_min(&params),
-        tick_rate_hz: tick_rate_hz(&params),
+        tick_rate_hz: params.autopilot.control_rate_hz,
     };
-    let start = args.start.unwrap_or_else(|| Pose::new(0.0, 0.0, 0.0));
     let control = std::thread::Builder::new()
         .name("apexd-control".into())
         .spawn(move || control_thread(params, start, worker, outside, task, orders, words));
@@ -165,7 +172,11 @@ pub fn run(
             return Exit::Failed;
         }
     };
-    let exit = exit_of(&summary, task);
+    drop(mavlink);
+    let exit = match exit_of(&summary, task) {
+        Exit::Done if restart.load(Ordering::Relaxed) => Exit::Restart,
+        exit => exit,
+    };
     if summary.outcome != "cut off" {
         end_well(marker);
     }
@@ -188,7 +199,8 @@ fn control_thread(
     words: std::sync::mpsc::Sender<Word>,
 ) -> Result<Summary, StartError> {
     let clock = Clock::start();
-    let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
+    // Without timers of the runtime: it would ask for the time at every turn.
+    let runtime = runtime::Builder::new_current_thread().enable_io().build()?;
     runtime.block_on(async {
         let layout = params.can.layout;
         let link = SocketLink::open(&params.can, clock)?;
@@ -210,8 +222,29 @@ fn control_thread(
             }
         });
         realtime::raise_priority(params.daemon.priority);
-        let core = Autopilot::new(core_params(&params), layout, start, clock.now());
+        let core = Autopilot::new(params.core(), layout, start, clock.now());
         Ok(Control::new(core, params, link, timing, worker, outside, task).run().await)
+    })
+}
+
+/// MAVLink links, if there are to be any.
+fn join(
+    params: &Params,
+    state_directory: Option<&Path>,
+    joined: Joined,
+) -> Result<Option<Mavlink>, MavlinkError> {
+    let urls = mavlink::parse_list(&params.mavlink.links)?;
+    if urls.is_empty() {
+        return Ok(None);
+    }
+    Mavlink::start(&params.mavlink, &urls, state_directory, joined).map(Some)
+}
+
+/// Lets a ground station end the daemon, for good or to be started anew.
+fn ender(orders: mpsc::Sender<Order>, restart: Arc<AtomicBool>) -> Ender {
+    Box::new(move |how| {
+        restart.store(how == End::Restart, Ordering::Relaxed);
+        orders.try_send(Order::End).map_err(|_| "the daemon takes no more orders".to_owned())
     })
 }
 
@@ -228,21 +261,6 @@ fn end_well(marker: Option<Marker>) {
     if let Some(Err(error)) = marker.map(Marker::remove) {
         tracing::warn!("cannot take the mark away: {error}");
     }
-}
-
-/// Where the daemon keeps what it must remember; of several directories from systemd the first.
-fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
-    let configured = &params.daemon.state_directory;
-    if !configured.is_empty() {
-        return Some(configured.into());
-    }
-    let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
-    let first = value.to_str()?.split(':').next()?;
-    (!first.is_empty()).then(|| first.into())
-}
-
-fn tick_rate_hz(_params: &Params) -> f64 {
-    100.0
 }
 
 #[cfg(test)]

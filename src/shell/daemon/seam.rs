@@ -8,9 +8,11 @@ use tokio::sync::{broadcast, mpsc, oneshot, watch};
 use super::change::ChangeRefusal;
 use crate::autopilot::{ActiveFaults, Autopilot, Command, Event, Mode, Refusal};
 use crate::command::CarStatus;
+use crate::fence::Fence;
 use crate::frames::Pose;
 use crate::params::Params;
 use crate::plan::{Goal, Plan};
+use crate::scan::Scan;
 use crate::time::Instant;
 use crate::tunable::Value;
 
@@ -44,6 +46,13 @@ pub enum Request {
         /// What came of it.
         reply: oneshot::Sender<Result<(), ChangeRefusal>>,
     },
+    /// Another fence.
+    SetFence {
+        /// Where the car may drive.
+        fence: Arc<Fence>,
+        /// It is in force.
+        reply: oneshot::Sender<()>,
+    },
 }
 
 /// The core at one moment.
@@ -63,8 +72,33 @@ pub struct CoreSnapshot {
     pub car_status: Option<(Instant, CarStatus)>,
     /// The plan being driven.
     pub plan: Arc<Plan>,
+    /// Why the car cannot be armed now; empty if it can.
+    pub not_ready: Vec<Refusal>,
+    /// Yaw rate, counter-clockwise.
+    pub yaw_rate_rps: f64,
+    /// How far the car is to the left of its plan, metres.
+    pub cross_track_m: f64,
+    /// The newest scan.
+    pub scan: Option<Arc<Scan>>,
+    /// Counts since the start.
+    pub counts: Counts,
+    /// Share of the control period that is used, as far as it is known.
+    pub load: f64,
     /// The parameters in force.
     pub params: Arc<Params>,
+}
+
+/// A few counts since the start.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Counts {
+    /// Frames that the decoder refused.
+    pub frames_refused: u64,
+    /// Error frames on the bus, as far as they are known.
+    pub error_frames: u64,
+    /// Planning steps without a plan.
+    pub plans_rejected: u64,
+    /// Times the guard took over.
+    pub guard_stops: u64,
 }
 
 impl CoreSnapshot {
@@ -78,6 +112,17 @@ impl CoreSnapshot {
             state: core.state(now),
             car_status: core.car_status().copied(),
             plan: Arc::clone(core.committed().current()),
+            not_ready: core.pre_arm(now),
+            yaw_rate_rps: core.yaw_rate_rps(),
+            cross_track_m: core.tracking_error().lateral_m,
+            scan: core.newest_scan().map(Arc::clone),
+            counts: Counts {
+                frames_refused: core.statistics().frames_refused,
+                error_frames: 0,
+                plans_rejected: core.statistics().plans_rejected,
+                guard_stops: core.statistics().guard_stops,
+            },
+            load: 0.0,
             params: Arc::clone(params),
         }
     }

@@ -5,18 +5,20 @@
 //! Planning runs in line; its answer is handed back after the latency asked for, so that age of
 //! information is not fiction.
 
+mod process;
 mod setup;
 mod snapshot;
 
 use std::collections::VecDeque;
 
+use process::Process;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
 pub use snapshot::Snapshot;
 
-use crate::autopilot::{Autopilot, Command, Event, Fault, Mode};
+use crate::autopilot::{Autopilot, Command, CoreParams, Event, Fault, Mode};
 use crate::frames::Point;
-use crate::plan::{PlanRequest, Planning, StepReport};
+use crate::plan::{PlanRequest, PlannerParams, Planning, StepReport};
 use crate::sim::account::Account;
 use crate::sim::bus::NodeId;
 use crate::sim::car::CarState;
@@ -56,6 +58,7 @@ pub struct Rig {
     now: Instant,
     steps: u64,
     job: Option<(Instant, StepReport)>,
+    process: Process,
     started: Option<Instant>,
     moved_m: f64,
     last_useful: Instant,
@@ -143,6 +146,12 @@ impl Rig {
         }
     }
 
+    /// Takes new parameters of core and planner, as a running daemon does.
+    pub fn set_params(&mut self, core: CoreParams, planner: &PlannerParams) {
+        self.core.set_params(core);
+        self.planner.set_params(planner);
+    }
+
     /// Ends the drive early: the car comes to rest along its plan, which ends the drive as
     /// [`Outcome::Interrupted`].
     pub fn interrupt(&mut self) {
@@ -163,6 +172,11 @@ impl Rig {
     /// What the planner foresaw nearest to the time asked for, so far.
     pub fn snapshot(&self) -> Option<&Snapshot> {
         self.album.as_ref()?.chosen(self.driven_s())
+    }
+
+    /// What the planner foresaw at moments spread over the drive so far, in order.
+    pub fn snapshots(&self) -> &[Snapshot] {
+        self.album.as_ref().map_or(&[], Album::kept)
     }
 
     /// Seconds since the first motion.
@@ -217,7 +231,9 @@ impl Rig {
         }
         let verdict =
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
-        if self.interrupted {
+        if self.process.is_stopped(self.now) {
+            // Nobody listens.
+        } else if self.interrupted {
             // Refused where the car is at rest or coming to rest anyway.
             let _ = self.core.handle_command(self.now, Command::Pause);
         } else {
@@ -265,8 +281,9 @@ impl Rig {
     /// Lets everything happen on the bus and in the core until `end`.
     fn settle(&mut self, end: Instant) {
         loop {
-            let job = self.job.as_ref().map(|(at, _)| *at);
-            let next = [self.bus.poll_at(), Some(self.core.poll_at()), job]
+            let job = self.job.as_ref().map(|(at, _)| self.process.wakes_at(*at));
+            let tick = self.process.ticks_at(self.core.poll_at());
+            let next = [self.bus.poll_at(), Some(tick), job]
                 .into_iter()
                 .flatten()
                 .min()
@@ -274,17 +291,22 @@ impl Rig {
             let Some(next) = next else { break };
             self.now = self.now.max(next);
             self.bus.advance(self.now);
-            while let Some((at, frame)) = self.bus.receive(self.daemon_node) {
-                self.core.handle_frame(at, &frame);
-                self.enter_delivered_scan();
-            }
             while let Some((at, frame)) = self.bus.receive(self.car_node) {
                 self.car.handle_frame(at, &frame);
+            }
+            if self.process.is_stopped(self.now) {
+                continue;
+            }
+            while let Some((at, frame)) = self.bus.receive(self.daemon_node) {
+                self.core.handle_frame(Process::stamp(self.now, at), &frame);
+                self.enter_delivered_scan();
             }
             if let Some((_, report)) = self.job.take_if(|(at, _)| *at <= self.now) {
                 self.core.handle_job_done(self.now, report);
             }
-            self.core.handle_time(self.now);
+            if self.now >= tick {
+                self.core.handle_time(self.now);
+            }
             self.fetch();
         }
     }
@@ -313,7 +335,7 @@ impl Rig {
             if let Some(reports) = &mut self.reports {
                 reports.push((request, report.clone()));
             }
-            self.job = Some((done, report));
+            self.job = (!self.process.planner_hangs).then_some((done, report));
         }
         while let Some(event) = self.core.poll_event() {
             if let Event::PlanAdopted { stop, length_m, .. } = event {
@@ -358,9 +380,21 @@ impl Rig {
             self.started.get_or_insert(self.now);
             self.last_useful = self.now;
         }
-        let Some(goal) = self.goal else { return };
-        let at_goal = (state.pose.position - goal).norm() <= self.goal_radius_m;
         let waited = self.now.seconds_after(self.started.unwrap_or(Instant::ZERO));
+        let Some(goal) = self.goal else {
+            // Whoever commands the car decides where it goes and when it is there.
+            self.outcome = if contact {
+                Some(Outcome::Collision)
+            } else if self.interrupted && !moving {
+                Some(Outcome::Interrupted)
+            } else if waited > self.time_limit_s {
+                Some(Outcome::Timeout)
+            } else {
+                None
+            };
+            return;
+        };
+        let at_goal = (state.pose.position - goal).norm() <= self.goal_radius_m;
         let stands = !moving && self.now.seconds_after(self.last_useful) > STUCK_S;
         self.outcome = if contact {
             Some(Outcome::Collision)

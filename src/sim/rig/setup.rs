@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use super::process::Process;
 use super::{DIGEST, Rig};
 use crate::autopilot::{Autopilot, CoreParams};
 use crate::frames::{Point, Pose};
@@ -161,6 +162,7 @@ impl RigSetup {
             now: Instant::ZERO,
             steps: 0,
             job: None,
+            process: Process::default(),
             started: None,
             moved_m: 0.0,
             last_useful: Instant::ZERO,

@@ -82,6 +82,7 @@ impl CarEncoder {
         let mut data = [0; DATA_MAX];
         s.emergency_stop.put(&mut data, i64::from(value.emergency_stop));
         s.setpoint_lost.put(&mut data, i64::from(value.setpoint_lost));
+        s.loss_toggle.put(&mut data, i64::from(value.loss_toggle));
         s.tail_held.put(&mut data, i64::from(value.tail_plan.is_some()));
         s.tail_plan.put(&mut data, i64::from(value.tail_plan.unwrap_or(0)));
         s.battery.put(&mut data, s.battery.saturate(value.battery_v, 0.0));

@@ -243,6 +243,7 @@ fn read_status(layout: Layout, frame: &CanFrame) -> CarStatus {
     CarStatus {
         emergency_stop: s.emergency_stop.get(data) != 0,
         setpoint_lost: s.setpoint_lost.get(data) != 0,
+        loss_toggle: s.loss_toggle.get(data) != 0,
         tail_plan: (s.tail_held.get(data) != 0).then(|| s.tail_plan.get(data) as u16),
         battery_v: s.battery.value(data),
         setpoint_age_s: if age == s.setpoint_age.raw_max() {

@@ -9,7 +9,7 @@ use super::frame::Layout;
 use super::signal::Signal;
 
 /// Version of the frames; both sides send theirs in the heartbeat.
-pub const INTERFACE_VERSION: u8 = 1;
+pub const INTERFACE_VERSION: u8 = 2;
 
 /// Who sends a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -36,6 +36,7 @@ signals!(StatusSignals {
     emergency_stop,
     setpoint_lost,
     tail_held,
+    loss_toggle,
     battery,
     setpoint_age,
     tail_plan
@@ -163,6 +164,14 @@ pub(super) const fn status(layout: Layout) -> StatusSignals {
             1.0,
             "",
             "The controller holds a complete braking tail, TailPlan is its number",
+        ),
+        loss_toggle: Signal::new(
+            "LossToggle",
+            f + 3,
+            1,
+            1.0,
+            "",
+            "Changes with every loss of setpoints; 0 after the controller's start",
         ),
         battery: Signal::new("BatteryVoltage", p, 16, 1e-3, "V", "Battery voltage"),
         setpoint_age: Signal::new(

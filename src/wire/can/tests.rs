@@ -328,6 +328,7 @@ fn status_and_heartbeats_arrive() {
             let sent = CarStatus {
                 emergency_stop: tail_plan.is_none(),
                 setpoint_lost: tail_plan.is_some(),
+                loss_toggle: tail_plan.is_some(),
                 tail_plan,
                 battery_v: 7.412,
                 setpoint_age_s: age,
@@ -478,6 +479,7 @@ fn one_of_each(layout: Layout) -> Vec<CanFrame> {
     let status = CarStatus {
         emergency_stop: false,
         setpoint_lost: false,
+        loss_toggle: false,
         tail_plan: Some(4),
         battery_v: 7.0,
         setpoint_age_s: 0.01,
