@@ -28,6 +28,7 @@ def judge(play, ends, broken):
         "daemon_ends": ends,
         "steps": play.done,
         "foreign_hz": play.foreign_hz,
+        "load": play.load,
     }
     if broken:
         return result
@@ -55,7 +56,9 @@ def judge(play, ends, broken):
 
     limit_s = expect.get("stopped_within_s")
     if limit_s is not None and resting["stopped_t_s"] is not None:
-        if resting["stop_s"] > limit_s:
+        if resting["stop_s"] is None:
+            failures.append("nothing happened to the car")
+        elif resting["stop_s"] > limit_s:
             failures.append(f"at rest after {resting['stop_s']:.2f} s, not {limit_s} s")
     if expect.get("stays") and resting["crept_m"] > CREEP_M:
         failures.append(f"moved {resting['crept_m']:.2f} m after it had come to rest")

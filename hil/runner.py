@@ -16,12 +16,15 @@ import time
 from pathlib import Path
 
 import judge
+import mavlink
 import scenario as scenarios
 from stage import Broken, Bus, Hog, Process, Recorder, StoppedThread, Truth, call
 
 POLL_S = 0.01
 # The daemon has this long from its start until the car moves.
 START_S = 20.0
+# Of the daemon's MAVLink link, where a scenario needs one.
+PORT = 14570
 
 
 class Play:
@@ -40,6 +43,10 @@ class Play:
         self.foreign_hz = 0.0
         # What weighs on the computer, to be taken off again; a small disk that is mounted.
         self.burdens = []
+        self.began = time.monotonic()
+        self.cpu_began = time.process_time()
+        # Processor time over wall time of the others.
+        self.load = {}
         self.disk = None
 
     @property
@@ -80,8 +87,11 @@ class Play:
         command = [self.binary, "run", "--can", self.bus.interface]
         command += [f"--start={x:.6f},{y:.6f},{math.degrees(heading):.6f}"]
         if drive:
-            command += ["--goal=" + ",".join(f"{value:.6f}" for value in world["goal"])]
+            goal = s.daemon.get("goal", world["goal"])
+            command += ["--goal=" + ",".join(f"{value:.6f}" for value in goal)]
         command += ["--set", f"speed.speed_max_mps={s.speed_mps}"]
+        if any(step.do == "goal" for step in s.steps):
+            command += ["--set", f"mavlink.links=udpin:127.0.0.1:{PORT}"]
         for setting in s.daemon.get("set", []):
             command += ["--set", setting]
         command += ["--json"]
@@ -132,6 +142,9 @@ class Play:
                 os.posix_fallocate(file.fileno(), 0, 31 << 20)
         elif do == "send":
             self.bus.send(value)
+        elif do == "goal":
+            x, y = map(float, value.split())
+            mavlink.send(mavlink.reposition(x, y), PORT)
         elif do == "clock":
             time.clock_settime(time.CLOCK_REALTIME, time.time() + value)
         self.done.append(
@@ -182,13 +195,18 @@ class Play:
                 raise Broken(
                     f"the car did not move within {START_S:.0f} s\n{self.daemon.tail(8)}"
                 )
-            if not pending and s.expect["end"] == "rest" and self.truth.holds({"rest_s": 1.0}, 0):
-                return
+            struck = self.struck_s() is not None or not (s.steps or "script" in s.car)
+            if struck and not pending and s.expect["end"] == "rest":
+                if self.truth.holds({"rest_s": 1.0}, 0):
+                    return
             if waited > s.limit_s:
                 return
 
     def clean_up(self):
-        """Ends what runs; returns how the daemons and the car ended."""
+        """Ends what runs; returns how the daemons ended."""
+        spent = {"car": self.car.cpu_s() if self.car else None, "runner": time.process_time() - self.cpu_began}
+        wall = time.monotonic() - self.began
+        self.load = {name: round(cpu / wall, 3) for name, cpu in spent.items() if cpu is not None}
         self.foreign_hz = self.bus.calm()
         for burden in self.burdens:
             burden.end()
@@ -215,7 +233,15 @@ def run_one(scenario, bus, binary, folder):
             ends = play.clean_up()
         finally:
             recorder.end()
-    result = judge.judge(play, ends, broken)
+    try:
+        result = judge.judge(play, ends, broken)
+    except (KeyError, TypeError, ValueError) as error:
+        result = {
+            "name": scenario.name,
+            "title": scenario.title,
+            "passed": False,
+            "failures": [f"cannot be judged: {type(error).__name__}: {error}", *filter(None, [broken])],
+        }
     result["wall_s"] = round(time.monotonic() - began, 2)
     (folder / "result.json").write_text(json.dumps(result, indent=1) + "\n")
     return result

@@ -27,6 +27,8 @@ ACTIONS = {
     # Share of the processor taken away; name of a thread of the daemon that is held still.
     "hog": float,
     "stop thread": str,
+    # A goal by MAVLink, x and y in the map frame.
+    "goal": str,
     # Seconds by which the machine's clock is set forward.
     "clock": float,
     "fill disk": None,
@@ -145,7 +147,7 @@ def read(path):
     for name, part, known in (
         ("world", world, {"maze", "family", "map", "start", "goal"}),
         ("car", car, {"set", "script", "seed", "stay"}),
-        ("daemon", daemon, {"set", "small_disk"}),
+        ("daemon", daemon, {"set", "small_disk", "goal"}),
     ):
         if set(part) - known:
             raise Mistake(f"{where}: unknown {sorted(set(part) - known)} in {name}")

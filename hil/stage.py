@@ -269,6 +269,14 @@ class Process:
     def running(self):
         return self.child.poll() is None
 
+    def cpu_s(self):
+        """Processor time so far, of a process that has not been waited for."""
+        try:
+            fields = Path(f"/proc/{self.child.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            return None
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def signal(self, number):
         if self.running():
             self.child.send_signal(number)
@@ -311,7 +319,8 @@ class Recorder:
         self.file = Path(scratch) / "candump.log" if scratch else self.place
         with self.file.open("wb") as out:
             self.child = subprocess.Popen(
-                ["candump", "-L", "-D", "-r", "4000000", f"{interface},0:0,#FFFFFFFF"],
+                # All standard identifiers below 200 (hex), where ours are, and error frames.
+                ["candump", "-L", "-D", "-r", "4000000", f"{interface},0:C0000600,#FFFFFFFF"],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=subprocess.DEVNULL,

@@ -22,14 +22,20 @@ COLUMNS = [
     ("act99", ">6", lambda r: f"{r['daemon']['scan_to_setpoint_ms']['p99']:.1f}"),
     ("jit99", ">6", lambda r: f"{r['daemon']['tick_jitter_ms']['p99']:.2f}"),
     ("cpu", ">5", lambda r: f"{r['daemon']['cpu']['mean']:.2f}"),
-    ("faults (s until raised)", "<", lambda r: ", ".join(
-        name if after is None else f"{name} {after:.2f}" for name, after in r["faults"].items())),
+    ("faults (s until raised)", "<", lambda r: faults(r["faults"])),
 ]
 LEGEND = (
     "clear: least distance to an obstacle; stop: from the first thing done to rest; ms, 99th "
     "percentile: plan: a planning step,\nact: last frame of a scan to the first setpoint of the plan "
     "made from it, jit: lateness of control ticks; cpu: cores, the daemon alone"
 )
+
+
+def faults(raised):
+    """Those raised after something happened, in this order; then those without a time."""
+    timed = sorted((after, name) for name, after in raised.items() if (after or -1) > -0.05)
+    words = [f"{name} {after:.2f}" for after, name in timed]
+    return ", ".join(words + [name for name, after in raised.items() if after is None])
 
 
 def cell(row, make):
