@@ -16,7 +16,8 @@ pub type Outcome = Result<(), String>;
 /// Fails a scenario unless a condition holds.
 macro_rules! must {
     ($holds:expr, $($what:tt)+) => {
-        if !$holds {
+        let holds: bool = $holds;
+        if !holds {
             return Err(format!($($what)+));
         }
     };
