@@ -102,6 +102,15 @@ class Services(unittest.TestCase):
                 return message
         self.fail(f"no {kinds} within {seconds} s; heard: {self.station.texts}")
 
+    def insist(self, command, *params):
+        """Again while the car says that waiting helps: the computer may be busy with other tests."""
+        end = time.monotonic() + 10.0
+        while True:
+            result = self.station.long(command, *params)
+            if result != mavlink.MAV_RESULT_TEMPORARILY_REJECTED or time.monotonic() > end:
+                break
+        self.assertEqual(result, ACCEPTED, self.station.texts)
+
     # ---- parameters
 
     def read_all(self):
@@ -183,7 +192,8 @@ class Services(unittest.TestCase):
 
     def test_a_mission_of_three_goals_is_driven(self):
         goals = [(5.5, 4.0), (6.5, 7.0), (3.0, 11.0)]
-        items = [self.goal(*goal) for goal in goals]
+        # A second at each goal, or the car is on its way again before its place is heard.
+        items = [self.goal(*goal, wait=1.0) for goal in goals]
         items.insert(1, (LOCAL, mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, 1.5, -1.0, 0.0), 0, 0))
         self.assertEqual(self.upload(MISSION, items), DONE)
         self.assertEqual(self.download(MISSION), items)
@@ -196,7 +206,7 @@ class Services(unittest.TestCase):
         station = self.station
         self.assertNotEqual(station.long(mavlink.MAV_CMD_MISSION_START), ACCEPTED)
         station.arm()
-        self.assertEqual(station.long(mavlink.MAV_CMD_MISSION_START), ACCEPTED)
+        self.insist(mavlink.MAV_CMD_MISSION_START)
         reached = []
         paused = False
         end = time.monotonic() + 120.0
@@ -211,12 +221,12 @@ class Services(unittest.TestCase):
                 self.assertLess(math.dist(station.position(), at), 0.6)
             if reached == [0] and not paused and station.speed() > 0.8:
                 paused = True
-                self.assertEqual(station.long(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0), ACCEPTED)
+                self.insist(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0)
                 station.await_(lambda: station.speed() < 0.02, "rest")
                 station.await_(
                     lambda: station.last["MISSION_CURRENT"].mission_state
                     == mavlink.MISSION_STATE_PAUSED, "pause", 3.0)
-                self.assertEqual(station.long(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1), ACCEPTED)
+                self.insist(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1)
         self.assertEqual(reached, [0, 2, 3])
         self.assertTrue(paused)
         station.await_(lambda: "Mission complete" in station.texts, "the end", 3.0)
@@ -240,6 +250,8 @@ class Services(unittest.TestCase):
         self.assertEqual(self.download(MISSION), [])
         station = self.station
         station.arm()
+        # Slowly enough to be heard while it passes.
+        self.insist(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 1.0)
         self.assertEqual(station.go(3.0, 6.0), ACCEPTED)
         crossed = []
         end = time.monotonic() + 60.0
