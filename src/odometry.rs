@@ -16,6 +16,9 @@ const ACCEL_GAP_MAX_S: f64 = 0.05;
 const EXTRAPOLATION_MAX_S: f64 = 0.2;
 /// Totals that run back, or on at more than this speed, come from a controller that was restarted.
 const PLAUSIBLE_SPEED_MPS: f64 = 30.0;
+/// A place that lies so little before the oldest reading is there, rounded by the bus, metres. (A car
+/// that has stood for longer than the memory has only one place to remember.)
+const ROUNDING_M: f64 = 1e-4;
 /// Slack of the same test for short intervals, metres.
 const PLAUSIBLE_STEP_M: f64 = 0.1;
 
@@ -163,6 +166,10 @@ impl OdometryTrack {
     /// distances not reached yet, `None` before the oldest reading.
     pub fn pose_at_travelled(&self, travelled_m: f64) -> Option<Pose> {
         let next = self.entries.partition_point(|e| e.odometry.travelled_m <= travelled_m);
+        let oldest = self.entries.front()?;
+        if next == 0 && oldest.odometry.travelled_m - travelled_m <= ROUNDING_M {
+            return Some(oldest.pose);
+        }
         let a = self.entries.get(next.checked_sub(1)?)?;
         let distance = travelled_m - a.odometry.travelled_m;
         let Some(b) = self.entries.get(next) else {
@@ -278,6 +285,17 @@ mod tests {
         let fresh = Odometry { travelled_m: 0.0, turned_rad: 0.0, ..reading(120) };
         assert_eq!(track.push(&fresh), Reading::Restarted);
         assert_eq!(track.newest().unwrap().1, pose);
+    }
+
+    #[test]
+    fn a_place_rounded_by_the_bus_is_remembered_by_a_car_that_has_stood_for_long() {
+        let mut track = OdometryTrack::from_pose(Pose::new(1.0, 2.0, 0.3), 0.1);
+        for ms in (0..=500).step_by(10) {
+            track.push(&Odometry { stamp: at_ms(ms), speed_mps: 0.0, ..reading(0) });
+        }
+        let place = track.newest().unwrap().1;
+        assert_eq!(track.pose_at_travelled(10.0 - 5e-6), Some(place));
+        assert_eq!(track.pose_at_travelled(9.999), None);
     }
 
     #[test]

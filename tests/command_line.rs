@@ -162,7 +162,7 @@ fn a_person_reads_a_summary_and_finds_the_report_in_runs() {
 fn every_policy_and_predictor_drives() {
     let folder = folder();
     room(folder.path(), |_, _| false);
-    for policy in ["map-predictive", "frontier", "known-map"] {
+    for policy in ["map-predictive", "frontier", "janson", "janson-lite", "known-map"] {
         let ran = cross(folder.path(), &["--json", "--out", policy, "--policy", policy]);
         assert_eq!((ran.code, &ran.json()["outcome"]), (0, &"goal".into()), "{policy}");
     }
@@ -193,6 +193,47 @@ fn a_network_is_taken_by_its_file_or_refused_with_the_reason() {
     assert_eq!(ran.code, 0, "{}", ran.err);
     assert!(ran.json()["prediction_faults"].as_u64().unwrap() >= 1, "{}", ran.out);
     assert!(ran.err.contains("driving without prediction"), "{}", ran.err);
+}
+
+/// A bus without CAN FD, with as many beams as it carries.
+#[test]
+fn a_maze_is_driven_over_classic_frames() {
+    let folder = folder();
+    let small = ["--set", "lidar.beams=360", "--set", "lidar.rate_hz=10"];
+    let drive = |set: &[&str]| {
+        let arguments = ["sil", "--maze", "3", "--predictor", "none", "--out", "out", "--json"];
+        apexd(folder.path(), &[&arguments, set].concat())
+    };
+    let classic = drive(&[&small[..], &["--set", "can.layout=classic"]].concat());
+    let json = classic.json();
+    assert_eq!((classic.code, &json["outcome"]), (0, &"goal".into()), "{json}");
+    assert_eq!((&json["collisions"], &json["unknown_entries"]), (&0.into(), &0.into()));
+    assert!(!classic.err.contains("bus"), "{}", classic.err);
+    let fd = drive(&small).json();
+    assert_ne!(json["digest"], fd["digest"], "another layout rounds and arrives otherwise");
+    // More than the bus carries is said, and driven as well as it can be.
+    let limit = ["--set", "can.layout=classic", "--time-limit", "0.2"];
+    let loaded = drive(&limit);
+    assert!(loaded.err.contains("of the bus"), "{}", loaded.err);
+}
+
+#[test]
+fn the_car_refuses_what_cannot_be_and_says_why() {
+    let folder = folder();
+    let car = |more: &[&str]| apexd(folder.path(), &[&["car", "--can", "nocan0"], more].concat());
+    // With or without CAN in this machine's kernel, that interface is not there.
+    let refused = car(&["--truth", "truth.jsonl"]);
+    assert_eq!(refused.code, 2, "{}", refused.err);
+    assert!(refused.err.contains("nocan0") || refused.err.contains("CAN sockets"));
+    assert!(!folder.path().join("truth.jsonl").exists());
+    car(&["--start", "-50,0,0"]).refused(2, &["start", "outside the map"]);
+    std::fs::write(folder.path().join("s.toml"), "[[event]]\nspeed = 1.0\n").unwrap();
+    let script = car(&["--script", "s.toml"]);
+    assert_eq!(script.code, 2);
+    assert!(script.err.contains("s.toml") && script.err.contains("speed_mps"), "{}", script.err);
+    car(&["--script", "none.toml"]).refused(2, &["none.toml"]);
+    assert_eq!(car(&["--set", "can.layout=lin"]).code, 78);
+    assert_eq!(car(&["--layout", "lin"]).code, 2);
 }
 
 #[test]
@@ -282,7 +323,7 @@ fn bad_usage_and_bad_configuration_have_codes_of_their_own() {
         assert!(!ran.err.is_empty(), "{arguments:?}");
     }
     let ran = apexd(at, &["sil", "--policy", "best"]);
-    for name in ["map-predictive", "frontier", "known-map"] {
+    for name in ["map-predictive", "frontier", "janson", "janson-lite", "known-map"] {
         assert!(ran.err.contains(name), "{}", ran.err);
     }
     let ran = apexd(at, &["sil", "--speed-max", "1000"]);

@@ -10,7 +10,7 @@ use apexd::wire::can::Layout;
 
 /// A car in a maze that waits for commands, armed.
 fn armed() -> (Rig, apexd::frames::Point) {
-    let maze = generate(Family::Thin, 3, 0.1).unwrap();
+    let maze = generate(Family::Thin, 3, 0.1).expect("the maze exists");
     let goal = maze.goal;
     let mut rig = Rig::new(RigSetup {
         world: maze.world,
@@ -31,7 +31,7 @@ fn armed() -> (Rig, apexd::frames::Point) {
         stopwatch: Box::new(|| std::time::Duration::ZERO),
         planning: None,
     })
-    .unwrap();
+    .expect("start and goal are free");
     for _ in 0..100 {
         run(&mut rig, 0.05);
         if tell(&mut rig, Command::Arm).is_ok() {

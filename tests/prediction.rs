@@ -181,7 +181,8 @@ fn a_predictor_that_takes_a_second_holds_up_one_plan_and_no_more() {
     let [(at_s, PredictFault::TooSlow { took, .. })] = &faults[..] else { panic!("{faults:?}") };
     assert_eq!(*took, Duration::from_secs(1));
     assert!(*at_s < 1.5, "{at_s}");
-    assert_eq!(rig.core().statistics().plans_late, 1);
+    // The car stood where that plan begins, and began it late.
+    assert_eq!(rig.core().statistics().plans_late, 0);
     assert_eq!(clock.0.load(Ordering::Relaxed), 1_000_000_000, "it is asked once");
     assert!(rig.core().faults().contains(Fault::NoPrediction));
     assert!(rig.distance_m() > 25.0, "{} m", rig.distance_m());

@@ -97,6 +97,7 @@ impl Autopilot {
 
     pub(super) fn begin_drive(&mut self, now: Instant) {
         self.last_adopted = now;
+        self.next_request = now;
         self.health.trust_tails(now);
         self.transition(now, Mode::Drive);
     }

@@ -329,7 +329,7 @@ pub const TABLE: &[Row] = &[
     Row {
         fault: Fault::NoPlan,
         detection: "no plan was adopted for 500 ms although the goal is not reached",
-        after_s: |_| PLAN_TIMEOUT_S,
+        after_s: |params| PLAN_TIMEOUT_S + params.autopilot.plan_period_s,
         action: Action::Report,
         clears: Clears::ByItself,
     },

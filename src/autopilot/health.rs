@@ -110,6 +110,9 @@ pub(super) struct Health {
 
 /// Plans of tails that are remembered: half a second at 40 scans a second.
 const TAILS: usize = 20;
+/// A gap in a stream counts as no more frames than this: what is silent for longer than a few frames
+/// has a row of its own.
+const GAP_COUNTS_MAX: u64 = 5;
 /// Angle by which the totals may turn further than the steering allows, radians: noise at rest.
 const TURN_SLACK_RAD: f64 = 0.05;
 
@@ -292,12 +295,16 @@ impl Autopilot {
         let Some(newest) = self.health.newest else { return };
         self.health.newest = Some(newest.max(now));
         if now.seconds_after(self.next_tick.max(newest)) > GAP_S {
-            self.raise(now, Fault::ClockJump);
-            // What has waited meanwhile is late, but its stamps are right.
-            self.clock.excuse(now.offset_by(CALM_S));
-            self.committed.drop_next();
-            self.void_job();
+            self.stood_still(now);
         }
+    }
+
+    fn stood_still(&mut self, now: Instant) {
+        self.raise(now, Fault::ClockJump);
+        // What has waited meanwhile is late, but its stamps are right.
+        self.clock.excuse(now.offset_by(CALM_S));
+        self.committed.drop_next();
+        self.void_job();
     }
 
     /// A frame was handled: late, if ticks went by since it came.
@@ -310,10 +317,12 @@ impl Autopilot {
     /// The tick due at `due` takes place.
     pub(super) fn note_tick(&mut self, now: Instant, due: Instant) {
         let tick_s = self.params.autopilot.tick_s();
+        // Frames that waited were read with the times of their arrival; this is how late it is.
+        if self.health.newest.is_some() && now.seconds_after(due) > GAP_S {
+            self.stood_still(now);
+        }
         let health = &mut self.health;
         match health.newest {
-            // Time that runs back stands still here until it has caught up; the car, which hears
-            // nothing any more, stops by itself.
             None => health.newest = Some(now),
             Some(_) => {
                 let periods = now.seconds_after(due) / tick_s;
@@ -329,7 +338,8 @@ impl Autopilot {
     pub(super) fn note_wire(&mut self, now: Instant, error: Option<&WireError>) {
         let health = &mut self.health;
         let lost = self.decoder.stats().lost;
-        health.disorder.note(now, lost - health.frames_lost);
+        let gap = (lost - health.frames_lost).min(GAP_COUNTS_MAX);
+        health.disorder.note(now, gap);
         health.frames_lost = lost;
         match error {
             Some(WireError::Repeated { .. } | WireError::WrongSequence { .. }) => {
@@ -385,7 +395,9 @@ impl Autopilot {
         let status_at = health.status.map(|(at, _)| at);
         let scan_age_s = age_s(now, health.scan) / params.guard.scan_age_max_s;
         let job_age_s = self.in_flight.as_ref().map_or(0.0, |job| now.seconds_after(job.since));
-        let no_plan = now.seconds_after(self.last_adopted) > PLAN_TIMEOUT_S;
+        // Where plans are asked for seldom, none is late before the next one is due.
+        let no_plan_s = PLAN_TIMEOUT_S + params.autopilot.plan_period_s;
+        let no_plan = now.seconds_after(self.last_adopted) > no_plan_s;
         let low_s = health.low_battery_since.map_or(0.0, |since| now.seconds_after(since));
         let causes = [
             (Fault::ClockJump, false),
@@ -393,10 +405,7 @@ impl Autopilot {
             (Fault::StatusLost, driving && age_s(now, status_at) > STATUS_TIMEOUT_S),
             (Fault::ScanMissing, driving && scan_age_s > SCAN_MISSING_SHARE),
             (Fault::ScanLate, driving && scan_age_s > SCAN_LATE_SHARE),
-            (
-                Fault::TailNotHeld,
-                driving && age_s(now, health.tail_held) > TAIL_SUPERSEDED_S + TAIL_TIMEOUT_S,
-            ),
+            (Fault::TailNotHeld, driving && age_s(now, health.tail_held) > TAIL_TIMEOUT_S),
             (Fault::CorruptFrames, health.corrupt.is_full(now) || health.disorder.is_full(now)),
             (
                 Fault::BusErrors,
@@ -449,10 +458,11 @@ impl Autopilot {
         self.faults.decisive().map(|row| row.action)
     }
 
-    /// Whether tails may be made from the estimated pose.
-    pub(super) fn is_pose_trusted(&self) -> bool {
-        let doubtful = [Fault::PoseLost, Fault::ClockJump, Fault::OdometryLate];
-        !doubtful.into_iter().any(|fault| self.faults.contains(fault))
+    /// Whether the car is known to stand, or where it goes.
+    pub(super) fn is_pose_trusted(&self, standing: bool) -> bool {
+        let timely =
+            ![Fault::ClockJump, Fault::OdometryLate].into_iter().any(|f| self.faults.contains(f));
+        timely && (standing || !self.faults.contains(Fault::PoseLost))
     }
 
     /// Switches a detector off, to find out whether a test notices.
@@ -510,6 +520,6 @@ mod tests {
         assert!(!gap(0.1, 0.0, 0.0));
         // Lifted up and put down the other way round.
         assert!(gap(0.0, 0.0, 3.0));
-        assert!(!gap(0.3, 2.0, 0.6));
+        assert!(!gap(0.15, 2.0, 0.3));
     }
 }

@@ -54,6 +54,8 @@ tunables! {
         goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
         /// Time granted to a planning step: the new plan takes over this long after the request.
         plan_budget_s: f64 = 0.02, at_rest, in 0.001..=1.0, "s";
+        /// Least time between two planning requests; 0 asks for a plan after every scan.
+        plan_period_s: f64 = 0.0, at_rest, in 0.0..=10.0, "s";
         /// Time between two braking tails while driving.
         tail_period_s: f64 = 0.05, at_rest, in 0.01..=0.5, "s";
         /// Tracking error at which the car is stopped: along with pose and map errors it must stay
@@ -99,7 +101,9 @@ const REST_SPEED_MPS: f64 = 0.02;
 const RETIME_SPEED_MIN_MPS: f64 = 0.3;
 /// Largest shift at once, seconds: the period of a 20 Hz lidar.
 const RETIME_MAX_S: f64 = 0.05;
-/// A car at rest that is further than this from where it was to stand was pushed, metres.
+/// A planning request may come this much before its period is over, seconds.
+const PLAN_PERIOD_SLACK_S: f64 = 0.005;
+/// A car at rest that is further than this from the end of its plan stands elsewhere, metres.
 const PUSHED_M: f64 = 0.02;
 /// Heartbeats are sent this often, seconds.
 const HEARTBEAT_PERIOD_S: f64 = 0.1;
@@ -136,6 +140,7 @@ pub struct Autopilot {
     next_tail: Instant,
     next_heartbeat: Instant,
     last_adopted: Instant,
+    next_request: Instant,
     tail_frames: Vec<CanFrame>,
     frames: VecDeque<CanFrame>,
     events: VecDeque<Event>,
@@ -172,6 +177,8 @@ struct InFlight {
     goal: Goal,
     /// Its answer is not wanted any more.
     void: bool,
+    /// Beams have ended in free space since: its answer is to be looked at again.
+    outdated: bool,
 }
 
 impl Autopilot {
@@ -207,6 +214,7 @@ impl Autopilot {
             next_tail: now,
             next_heartbeat: now,
             last_adopted: now,
+            next_request: now,
             tail_frames: Vec::new(),
             frames: VecDeque::new(),
             events: VecDeque::new(),
@@ -379,6 +387,9 @@ impl Autopilot {
         self.guard.handle_scan(&scan);
         self.inputs.raw_scan = Some(Arc::new(scan));
         if insertion.turned_occupied > 0 {
+            if let Some(job) = &mut self.in_flight {
+                job.outdated = true;
+            }
             self.certify_again(now);
         }
         self.request_plan(now);
@@ -400,21 +411,18 @@ impl Autopilot {
         match report.verdict {
             _ if !wanted => self.statistics.plans_stale += 1,
             Verdict::Plan(plan) => {
-                let welcome = self.mode == Mode::Drive && self.decisive_action().is_none();
-                if now > report.takes_over {
-                    self.statistics.plans_late += 1;
-                    self.events.push_back(Event::PlanLate { number: report.number });
-                } else if welcome && report.base == self.committed.newest().number {
-                    self.last_adopted = now;
-                    self.statistics.plans_adopted += 1;
-                    self.events.push_back(Event::PlanAdopted {
-                        number: plan.number,
-                        stop: plan.trajectory.last().path.position,
-                        length_m: plan.trajectory.last().path.s_m,
-                    });
-                    self.committed.schedule(*plan);
-                } else {
-                    self.statistics.plans_stale += 1;
+                let welcome = self.mode == Mode::Drive
+                    && self.decisive_action().is_none()
+                    && report.base == self.committed.newest().number;
+                match self.in_time(now, report.takes_over, *plan) {
+                    None => {
+                        self.statistics.plans_late += 1;
+                        self.events.push_back(Event::PlanLate { number: report.number });
+                    }
+                    Some(plan) if welcome && !(job.outdated && self.is_revoked(&plan)) => {
+                        self.adopt(now, plan);
+                    }
+                    Some(_) => self.statistics.plans_stale += 1,
                 }
             }
             Verdict::Keep => self.last_adopted = now,
@@ -426,6 +434,38 @@ impl Autopilot {
                 self.raise(now, Fault::GoalUnreachable);
             }
         }
+    }
+
+    /// The plan if it can still take over. A car that stands where a plan begins may begin late:
+    /// without that, planning that always takes longer than it is granted would never let the car
+    /// set out.
+    fn in_time(&self, now: Instant, takes_over: Instant, mut plan: Plan) -> Option<Plan> {
+        if now > takes_over {
+            let waits = self.committed.is_finished(now);
+            if !waits || plan.trajectory.points.first().is_none_or(|p| p.speed_mps > 0.0) {
+                return None;
+            }
+            plan.trajectory.start = self.tick_from(now);
+        }
+        Some(plan)
+    }
+
+    /// Whether something stands on a plan by now.
+    fn is_revoked(&self, plan: &Plan) -> bool {
+        let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
+        recertify(&plan.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
+    }
+
+    fn adopt(&mut self, now: Instant, plan: Plan) {
+        self.last_adopted = now;
+        self.statistics.plans_adopted += 1;
+        let stop = plan.trajectory.last().path;
+        self.events.push_back(Event::PlanAdopted {
+            number: plan.number,
+            stop: stop.position,
+            length_m: stop.s_m,
+        });
+        self.committed.schedule(plan);
     }
 
     /// Time has passed; does what is due.
@@ -504,12 +544,15 @@ impl Autopilot {
         else {
             return;
         };
-        if self.decisive_action().is_some() {
+        if self.decisive_action().is_some() || now < self.next_request {
             return;
         }
+        // Scans come a little early or late; half a millisecond must not cost a whole scan.
+        let wait_s = (self.params.autopilot.plan_period_s - PLAN_PERIOD_SLACK_S).max(0.0);
+        self.next_request = now.offset_by(wait_s);
         self.catch_up_with_car(now);
         let number = self.take_number();
-        self.in_flight = Some(InFlight { number, since: now, goal, void: false });
+        self.in_flight = Some(InFlight { number, since: now, goal, void: false, outdated: false });
         self.job = Some(PlanRequest {
             number,
             grid: self.mapper.snapshot(),
@@ -628,7 +671,7 @@ impl Autopilot {
 
     /// The mode that the active faults call for.
     fn settle_mode(&mut self, now: Instant, state: Option<(Pose, f64)>, standing: bool) {
-        if standing && self.mode == Mode::Stop && self.is_pose_trusted() {
+        if standing && self.mode == Mode::Stop && self.is_pose_trusted(true) {
             for fault in self.faults.iter().filter(|fault| fault.row().clears == Clears::AtRest) {
                 self.clear(now, fault);
             }
@@ -644,14 +687,20 @@ impl Autopilot {
                     None => self.transition(now, Mode::Standby),
                 }
             }
-            // Somebody pushed the car: it stands elsewhere now.
-            (Mode::Disarmed | Mode::Standby, _) if standing => {
-                let planned = self.committed.newest().trajectory.last().path.position;
-                if state.is_some_and(|(pose, _)| (pose.position - planned).norm() > PUSHED_M) {
-                    self.stand_here(now);
-                }
-            }
             _ => {}
+        }
+        // A plan that is not being followed, or cannot be, gives way to standing here.
+        let given_up = match self.mode {
+            Mode::Disarmed | Mode::Standby => true, // somebody pushed the car
+            Mode::Stop => true,                     // finishing a plan does not mean to set off
+            Mode::Drive => self.guard.stopping().is_some(),
+            Mode::Hold => false,
+        };
+        if given_up && standing {
+            let planned = self.committed.newest().trajectory.last().path.position;
+            if state.is_some_and(|(pose, _)| (pose.position - planned).norm() > PUSHED_M) {
+                self.stand_here(now);
+            }
         }
         if self.mode == Mode::Stop {
             self.braking |= action == Some(Action::BrakeNow);
@@ -689,8 +738,10 @@ impl Autopilot {
 
     fn send_tail(&mut self, now: Instant) {
         // Without a pose that can be believed the tail that the car holds is the better one.
-        let newest = self.localizer.newest().filter(|_| self.is_pose_trusted());
-        let Some((odometry, pose)) = newest else { return };
+        let Some((odometry, pose)) = self.localizer.newest() else { return };
+        if !self.is_pose_trusted(odometry.speed_mps.abs() < REST_SPEED_MPS) {
+            return;
+        }
         let plan = self.committed.current();
         let tail = braking_tail(
             plan.number as u16,

@@ -13,8 +13,7 @@ impl Autopilot {
         self.guard.set_params(&params.vehicle, &params.guard);
         if self.mode != Mode::Drive {
             // What comes back was made for another car.
-            self.in_flight = None;
-            self.job = None;
+            self.void_job();
         }
         self.params = params;
     }
@@ -27,8 +26,7 @@ impl Autopilot {
 
     /// A planning job that was asked for will never be answered.
     pub fn handle_job_lost(&mut self, now: Instant, number: u32) {
-        if self.in_flight.as_ref().is_some_and(|job| job.number == number) {
-            self.in_flight = None;
+        if self.in_flight.take_if(|job| job.number == number).is_some() {
             self.raise(now, Fault::PlannerLate);
         }
     }

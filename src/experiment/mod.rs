@@ -1,4 +1,13 @@
-//! Experiments on the whole: data for the predictor and its scores.
+//! Experiments on the whole: data for the predictor and its scores; the experiments of Elhafsi et
+//! al. (2020) and random drives, with statistics and tables.
 
+pub mod campaign;
 pub mod dataset;
 pub mod evaluate;
+pub mod failures;
+pub mod floor;
+pub mod paper;
+pub mod results;
+pub mod run;
+pub mod statistics;
+pub mod table;

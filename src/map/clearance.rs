@@ -5,7 +5,7 @@
 //! Without a distance field the scan goes row by row outwards, with one column by column; either
 //! stops at the nearest square found so far.
 
-use super::{Blocking, Cell, CellIndex, DistanceField, Grid};
+use super::{Blocking, Cell, CellIndex, DistanceField, Grid, floor_to_index};
 use crate::frames::Point;
 
 /// Distance in metres from a point of the map frame to the nearest blocking cell's square, zero
@@ -46,6 +46,23 @@ impl<'a> Clearance<'a> {
     /// the field's cap.
     pub fn at(&self, p: Point) -> f64 {
         self.at_up_to(p, self.field.cap_m())
+    }
+
+    /// Whether [`at`](Self::at) is at least `least_m`, which may not be above the field's cap; most
+    /// points are decided by one look-up.
+    pub fn reaches(&self, p: Point, least_m: f64) -> bool {
+        let cell = self.grid.cell_at(p);
+        let centres =
+            if self.grid.bounds().contains(cell) { self.field.distance_m(cell) } else { 0.0 };
+        if centres > 0.0 {
+            let offset = (p - self.grid.centre(cell)).norm();
+            let most = f64::from(centres) * (1.0 + 1e-6) + offset - 0.5 * self.grid.resolution_m();
+            // A capped distance may be anything above.
+            if most < least_m && f64::from(centres) < self.field.cap_m() * (1.0 - 1e-6) {
+                return false;
+            }
+        }
+        self.at_up_to(p, least_m) >= least_m
     }
 
     /// As [`at`](Self::at), at most `cap_m` (and at most the field's cap).
@@ -209,7 +226,7 @@ impl Search<'_> {
                 .unwrap_or(Cell::Unknown);
             self.blocking.blocks(cell)
         };
-        let column = (p.x / resolution).floor() as i32;
+        let column = floor_to_index(p.x / resolution);
         // Squares nearer than this in x lie within the radius known to be clear.
         let skip = (least_m * least_m - dy * dy).max(0.0).sqrt();
         let skipped = ((skip / resolution) as i32 - 1).max(0);
@@ -232,15 +249,15 @@ impl Search<'_> {
         let bounds = self.grid.bounds();
         let (a, b) = if a.y <= b.y { (a, b) } else { (b, a) };
         let mut best = cap_m;
-        let first = ((a.y - cap_m) / resolution).floor() as i32;
-        let last = ((b.y + cap_m) / resolution).floor() as i32;
+        let first = floor_to_index((a.y - cap_m) / resolution);
+        let last = floor_to_index((b.y + cap_m) / resolution);
         for iy in first..=last {
             let low_y = f64::from(iy) * resolution;
             let high_y = low_y + resolution;
             // The part of the segment that is near enough to this row to matter.
             let Some((x0, x1)) = clip(a, b, low_y - best, high_y + best) else { continue };
-            let start = ((x0 - best) / resolution).floor() as i32;
-            let end = ((x1 + best) / resolution).floor() as i32;
+            let start = floor_to_index((x0 - best) / resolution);
+            let end = floor_to_index((x1 + best) / resolution);
             let row = self.grid.row(iy);
             for ix in start..=end {
                 let cell = match row {
@@ -382,6 +399,7 @@ mod tests {
                 prop_assert!((clearance_m(&grid, p, blocking, cap) - wanted).abs() < 1e-12);
                 let wanted = brute_force(&grid, p, blocking, cap.min(1.5));
                 prop_assert!((fast.at_up_to(p, cap) - wanted).abs() < 1e-12);
+                prop_assert_eq!(fast.reaches(p, cap), fast.at_up_to(p, cap) >= cap);
                 let exact = fast.at(p);
                 prop_assert!((exact - brute_force(&grid, p, blocking, 1.5)).abs() < 1e-12);
                 let least = fast.at_least(p);

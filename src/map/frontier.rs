@@ -16,6 +16,8 @@ use crate::frames::{Point, Vector};
 pub struct Frontier {
     /// Its cells, row by row.
     pub cells: Vec<CellIndex>,
+    /// Those of them from which the disc can cross into unknown space.
+    pub crossings: Vec<CellIndex>,
     /// Mean of the cells' centres, map frame, metres. May lie outside free space.
     pub centroid: Point,
     /// The cell nearest to the centroid from which the disc can cross into unknown space.
@@ -207,12 +209,11 @@ impl FrontierFinder {
             })
         };
         let away = |c: &CellIndex| (grid.centre(*c) - centroid).norm_squared();
-        let representative = cells
-            .iter()
-            .filter(|c| reached(c) && crosses(c))
-            .min_by(|a, b| away(a).total_cmp(&away(b)))
-            .copied()?;
-        Some(Frontier { cells, centroid, representative })
+        let crossings: Vec<CellIndex> =
+            cells.iter().filter(|c| reached(c) && crosses(c)).copied().collect();
+        let representative =
+            crossings.iter().min_by(|a, b| away(a).total_cmp(&away(b))).copied()?;
+        Some(Frontier { cells, crossings, centroid, representative })
     }
 }
 

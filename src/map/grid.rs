@@ -2,6 +2,14 @@
 
 use crate::frames::Point;
 
+/// The largest whole number that is not above `v`, saturating. `f64::floor` is a call into the C
+/// library on the oldest processors that this is compiled for, and cells are looked up a lot.
+#[inline]
+pub fn floor_to_index(v: f64) -> i32 {
+    let truncated = v as i32;
+    truncated.saturating_sub(i32::from(f64::from(truncated) > v))
+}
+
 /// What is known of one cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 #[repr(u8)]
@@ -198,8 +206,8 @@ impl Grid {
     #[inline]
     pub fn cell_at(&self, p: Point) -> CellIndex {
         CellIndex {
-            ix: (p.x / self.resolution_m).floor() as i32,
-            iy: (p.y / self.resolution_m).floor() as i32,
+            ix: floor_to_index(p.x / self.resolution_m),
+            iy: floor_to_index(p.y / self.resolution_m),
         }
     }
 

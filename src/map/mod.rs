@@ -13,5 +13,5 @@ mod insert;
 pub use clearance::{Clearance, clearance_m, segment_clearance_m};
 pub use distance::{Blocking, DistanceField};
 pub use frontier::{Frontier, FrontierFinder, frontiers};
-pub use grid::{Cell, CellIndex, CellRect, Grid};
+pub use grid::{Cell, CellIndex, CellRect, Grid, floor_to_index};
 pub use insert::{CELLS_MAX, Insertion, MapParams, Mapper, Refusal};

@@ -13,6 +13,8 @@ pub use fault::{Fault, Faults, Origin, Problem};
 pub use ids::{ID_LENGTH, id_of, ids};
 pub use layers::{ENVIRONMENT_PREFIX, Layers, kept_text};
 
+use crate::autopilot::CoreParams;
+use crate::plan::PlannerParams;
 use crate::tunable::{Section, Tunable, TunableError, Value};
 
 /// One section of the parameter table.
@@ -81,6 +83,7 @@ sections! {
     predict: crate::predict::PredictParams,
     plan: crate::plan::PlanParams,
     search: crate::plan::search::SearchParams,
+    janson: crate::plan::JansonParams,
     manoeuvre: crate::plan::search::ManoeuvreParams,
     smooth: crate::plan::smooth::SmoothParams,
     speed: crate::plan::speed::SpeedParams,
@@ -94,6 +97,36 @@ sections! {
     lidar: crate::sim::lidar::LidarParams,
     bus: crate::sim::bus::BusParams,
     mavlink: crate::ground::MavlinkParams,
+}
+
+impl Params {
+    /// The sections that the core is made of.
+    pub fn core(&self) -> CoreParams {
+        CoreParams {
+            vehicle: self.vehicle.clone(),
+            autopilot: self.autopilot.clone(),
+            map: self.map.clone(),
+            control: self.control.clone(),
+            guard: self.guard.clone(),
+            certify: self.certify.clone(),
+            speed: self.speed.clone(),
+        }
+    }
+
+    /// The sections that the planner is made of.
+    pub fn planner(&self) -> PlannerParams {
+        PlannerParams {
+            vehicle: self.vehicle.clone(),
+            plan: self.plan.clone(),
+            search: self.search.clone(),
+            manoeuvre: self.manoeuvre.clone(),
+            smooth: self.smooth.clone(),
+            speed: self.speed.clone(),
+            certify: self.certify.clone(),
+            foreseen: self.foreseen.clone(),
+            janson: self.janson.clone(),
+        }
+    }
 }
 
 /// The row of `section.name`.

@@ -217,6 +217,11 @@ impl Foreseen {
         Clearance::new(&self.grid, &self.blocked)
     }
 
+    /// The map with what is foreseen; only while it is not [silent](Self::is_silent).
+    pub(super) const fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
     /// Whether a point is neither known nor foreseen.
     pub(super) fn is_open(&self, p: Point) -> bool {
         self.grid.get(self.grid.cell_at(p)) == Cell::Unknown

@@ -15,12 +15,14 @@ pub mod smooth;
 pub mod speed;
 #[cfg(test)]
 mod test_paths;
+mod visibility;
 
 pub use fenced::FencePainter;
 pub use foreseen::ForeseenParams;
 pub use path::{Path, PathPoint, Trajectory, TrajectoryPoint};
 pub use planner::{
-    PlanParams, Planner, PlannerParams, Policy, SHORTEST_PLAN_M, StopRule, Stopwatch,
+    JansonParams, PlanParams, Planner, PlannerParams, Policy, Reading, SHORTEST_PLAN_M, StopRule,
+    Stopwatch,
 };
 pub use request::{Goal, Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 pub use shorten::shorten;

@@ -12,7 +12,6 @@
 
 use std::sync::Arc;
 
-use super::bubbles::ClearanceField;
 use super::certify::{
     CertifyParams, EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start,
     clear_length_m, last_escapable,
@@ -22,8 +21,7 @@ use super::foreseen::{Foreseen, ForeseenParams, ShapeField};
 use super::impasse::{Courage, Impasses};
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{
-    Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, Room, SearchError,
-    SearchParams, SearchQuery, Terrain,
+    Guide, GuideSearch, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, Room, SearchParams,
 };
 use super::smooth::{SmoothParams, SmoothRequest, Smoother};
 use super::speed::{End, SpeedLimits, SpeedParams, SpeedProfiler, SpeedTask};
@@ -35,7 +33,17 @@ use crate::time::Duration;
 use crate::vehicle::VehicleParams;
 use crate::{choices, tunables};
 
+mod exits;
+mod guides;
+mod janson;
 mod turning;
+mod ways;
+
+use exits::Aim;
+use guides::GuideFailure;
+pub use janson::JansonParams;
+use janson::Weigher;
+use ways::{Way, join, leaves_heading, with_transitions};
 
 choices! {
     /// How the way is chosen.
@@ -44,8 +52,26 @@ choices! {
         MapPredictive = "map-predictive",
         /// To the frontier whose centroid is nearest to the goal (the paper's naive baseline).
         Frontier = "frontier",
+        /// Through the exit from known space that promises the earliest arrival, each one's path
+        /// shaped and timed, no faster than what will have been seen allows (after Janson, Hu and
+        /// Pavone 2018).
+        Janson = "janson",
+        /// The same, timed without regard to what will have been seen, but with a price for
+        /// arriving at the exit in another direction than the way goes on.
+        JansonLite = "janson-lite",
         /// All the way over a map that is known from the start (the reference).
         KnownMap = "known-map",
+    }
+}
+
+choices! {
+    /// How the policy map-predictive gets to the goal (the paper's text allows both).
+    pub enum Reading {
+        /// One search, from the car to the goal.
+        Direct = "direct",
+        /// The cheapest over all frontiers of the way through known space to the frontier's middle
+        /// and on to the goal.
+        ViaFrontier = "via-frontier",
     }
 }
 
@@ -68,6 +94,8 @@ tunables! {
     pub struct PlanParams in "plan" {
         /// How the way is chosen.
         policy: Policy = Policy::MapPredictive, at_rest, one of;
+        /// How the policy map-predictive gets to the goal.
+        reading: Reading = Reading::Direct, live, one of;
         /// Clearance granted to the path's shape beside unknown space, beyond what the certificate
         /// asks for; the certificate then ends the executable part before it.
         unknown_room_m: f64 = 0.3, live, in 0.0..=2.0, "m";
@@ -79,6 +107,13 @@ tunables! {
         stop_rule: StopRule = StopRule::TurnRound, live, one of;
         /// Plans end this far inside the goal disc.
         goal_depth_m: f64 = 0.1, live, in 0.0..=1.0, "m";
+    }
+}
+
+impl Policy {
+    /// Whether what is foreseen has a say in the way.
+    const fn is_predictive(self) -> bool {
+        matches!(self, Self::MapPredictive | Self::Janson | Self::JansonLite)
     }
 }
 
@@ -101,6 +136,8 @@ pub struct PlannerParams {
     pub certify: CertifyParams,
     /// What of a prediction shapes rely on.
     pub foreseen: ForeseenParams,
+    /// How exits from known space are weighed.
+    pub janson: JansonParams,
 }
 
 /// Reads the wall clock, for statistics only; a constant makes the planner a pure function.
@@ -112,20 +149,9 @@ const FIELD_CAP_M: f64 = 1.5;
 const TURN_SPEED_SHARE: f64 = 0.9;
 /// Samples of a path are no closer than this, metres.
 const SHORTEST_EDGE_M: f64 = 1e-3;
-/// A new path changes over from the committed one to the guide within this, metres and seconds.
-const BLEND_LEAST_M: f64 = 1.5;
-const BLEND_S: f64 = 0.8;
-/// Walls thinner than this may be looked through when ways are compared, metres.
-const SIGHT_M: f64 = 0.05;
-/// An old path shorter than this says nothing about the way, metres.
-const OLD_WAY_LEAST_M: f64 = 0.3;
-/// With this much of it left, the old path need not lead on to be driven further, metres.
-const PLENTY_M: f64 = 8.0;
 /// Shapes keep this much more clearance than the certificate asks for: it measures chords and their
 /// bulge where smoothing looks at samples.
 const SHAPE_SLACK_M: f64 = 0.005;
-/// How often a guide is sought anew because obstacles are foreseen in its way.
-const GUIDES_MAX: usize = 4;
 /// A shape ends no nearer than this where nothing is known or foreseen, metres.
 const FORESEEN_LEAST_M: f64 = 4.0;
 /// Deceleration towards a lower speed that was asked for, m/s^2.
@@ -144,6 +170,11 @@ pub struct Planner {
     foreseen: Foreseen,
     lethal: Vec<bool>,
     tight: Vec<bool>,
+    /// What this step's guide aims at.
+    aim: Aim,
+    /// Whether this step's searches take unknown space for free, as nothing is foreseen of it.
+    hopes: bool,
+    weigher: Weigher,
     impasses: Impasses,
     tracks: turning::Tracks,
     guide: GuideSearch,
@@ -201,6 +232,9 @@ impl Planner {
             foreseen: Foreseen::new(FIELD_CAP_M),
             lethal: Vec::new(),
             tight: Vec::new(),
+            aim: Aim::Anywhere,
+            hopes: false,
+            weigher: Weigher::default(),
             impasses: Impasses::default(),
             tracks: turning::Tracks::default(),
             guide: GuideSearch::new(),
@@ -275,10 +309,10 @@ impl Planner {
         if self.nearly_there(request, &here) {
             return Verdict::Keep;
         }
-        let mut found = self.guide_foreseen(request, &here, times);
+        let mut found = self.propose(request, &branches, times, candidates);
         if found.is_err() && self.impasses.blame_closed(here.point.position) {
             self.set_masks(request);
-            found = self.guide_foreseen(request, &here, times);
+            found = self.propose(request, &branches, times, candidates);
         }
         let guide = match found {
             Ok(guide) => guide,
@@ -355,7 +389,7 @@ impl Planner {
             let way = if branch.s_m == here.s_m {
                 Ok(guide.clone())
             } else {
-                self.guide(request, &branch, times)
+                self.guide(request, &branch, self.aim, times)
             };
             let turn = way
                 .map_err(|_| Rejection::NothingToGain)
@@ -363,7 +397,7 @@ impl Planner {
                 .and_then(|way| self.shaped(request, &branch, way, Bends::AsCommitted, times));
             match turn {
                 Ok(candidate) => {
-                    if let Some(cost_s) = self.cost_s(request, &candidate) {
+                    if let Some(cost_s) = self.cost_s(request, &candidate, None) {
                         turns.push((cost_s, candidate));
                     }
                 }
@@ -440,262 +474,12 @@ impl Planner {
         branches
     }
 
-    /// Takes in what is foreseen beside a way.
-    fn look_beside(
-        &mut self,
-        grid: &Grid,
-        way: impl Iterator<Item = Point>,
-        times: &mut StepTimes,
-    ) {
-        let mut lap = Lap::new(&self.clock);
-        let predicted = self.predictor.spent();
-        let mut view = self.predictor.view(&self.clock);
-        let horizon_m = self.params.smooth.horizon_m;
-        self.foreseen.look(&self.params.foreseen, grid, way, horizon_m, &mut view);
-        let predicted = self.predictor.spent().saturating_sub(predicted);
-        times.field += lap.take(&self.clock).saturating_sub(predicted);
-    }
-
-    /// The guide from where the new plan takes over. If there is one, it keeps its distance from
-    /// obstacles that are foreseen beside it, as its shape will have to.
-    fn guide_foreseen(
-        &mut self,
-        request: &PlanRequest,
-        branch: &Branch,
-        times: &mut StepTimes,
-    ) -> Result<Guide, GuideFailure> {
-        if self.params.plan.policy != Policy::MapPredictive {
-            return self.guide(request, branch, times);
-        }
-        let plan = &request.committed;
-        let under_way = plan.trajectory.points.iter().map(|p| p.path);
-        let under_way = under_way.chain(plan.beyond.points.iter().copied());
-        let ahead = under_way.skip_while(|p| p.s_m < branch.s_m).map(|p| p.position);
-        self.look_beside(&request.grid, ahead, times);
-        for _ in 0..GUIDES_MAX {
-            let was_silent = self.foreseen.is_silent();
-            let found = self.guide_round_foreseen(request, branch, times);
-            let Ok(guide) = found else {
-                if was_silent {
-                    return found;
-                }
-                break;
-            };
-            self.look_beside(&request.grid, guide.points.iter().copied(), times);
-            if self.foreseen.is_silent() || self.clears_foreseen(&guide) {
-                return Ok(guide);
-            }
-        }
-        // What is foreseen to be in the way everywhere may not be there.
-        self.guide(request, branch, times)
-    }
-
-    /// The guide if all obstacles foreseen so far were known.
-    fn guide_round_foreseen(
-        &mut self,
-        request: &PlanRequest,
-        branch: &Branch,
-        times: &mut StepTimes,
-    ) -> Result<Guide, GuideFailure> {
-        if self.foreseen.is_silent() {
-            return self.guide(request, branch, times);
-        }
-        let known = self.lethal.clone();
-        let least_m = self.mask_radius_m(&request.grid) as f32;
-        self.foreseen.mask(&request.grid, least_m, &mut self.lethal);
-        let found = self.guide(request, branch, times);
-        self.lethal = known;
-        found
-    }
-
-    /// Whether a guide keeps off what is foreseen, up to a cell's size.
-    fn clears_foreseen(&self, guide: &Guide) -> bool {
-        let walls = self.foreseen.occupied();
-        let least_m = 0.8 * self.keep_m();
-        guide.points.iter().skip(1).all(|p| walls.at_up_to(*p, least_m) >= least_m)
-    }
-
-    fn guide(
-        &mut self,
-        request: &PlanRequest,
-        branch: &Branch,
-        times: &mut StepTimes,
-    ) -> Result<Guide, GuideFailure> {
-        let grid = &request.grid;
-        let terrain = Terrain {
-            resolution_m: grid.resolution_m(),
-            bounds: grid.bounds(),
-            cells: grid.cells(),
-            lethal: &self.lethal,
-        };
-        let mut query = SearchQuery {
-            start: branch.point.position,
-            goal: request.goal.position,
-            goal_radius_m: 0.0,
-            v_ref_mps: self.params.speed.speed_max_mps.min(request.speed_cap_mps),
-            through_unknown: true,
-        };
-        let mut lap = Lap::new(&self.clock);
-        let params = &self.params.search;
-        let predicted = self.predictor.spent();
-        let mut view = self.predictor.view(&self.clock);
-        let found = if self.params.plan.policy == Policy::Frontier {
-            query.through_unknown = false;
-            let tight = Terrain { lethal: &self.tight, ..terrain };
-            match self.guide.find(&tight, &query, &mut view, params) {
-                Err(SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }) => {
-                    self.frontier_guide(request, &mut query)
-                }
-                found => found,
-            }
-        } else {
-            let known = request.through_known.then(|| {
-                let known = SearchQuery { through_unknown: false, ..query };
-                let tight = Terrain { lethal: &self.tight, ..terrain };
-                self.guide.find(&tight, &known, &mut view, params).ok()
-            });
-            match known.flatten() {
-                Some(guide) => Ok(guide),
-                None => self.guide.find(&terrain, &query, &mut view, params),
-            }
-        };
-        let predicted = self.predictor.spent().saturating_sub(predicted);
-        times.search += lap.take(&self.clock).saturating_sub(predicted);
-        let mut guide = found.map_err(|error| match error {
-            SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }
-                if self.params.plan.policy != Policy::Frontier =>
-            {
-                GuideFailure::Unreachable
-            }
-            _ => GuideFailure::Nothing,
-        })?;
-        self.keep_off_walls(grid, &mut guide);
-        Ok(guide)
-    }
-}
-
-impl Planner {
-    /// Moves the guide's points that are nearer to a wall than shapes may be, by the part of a cell
-    /// that is missing: cell centres are as near as the certificate allows at the least, and where
-    /// shapes and manoeuvres ask for a little more, a way along a wall would lead nowhere.
-    fn keep_off_walls(&self, grid: &Grid, guide: &mut Guide) {
-        const SPARE_M: f64 = 0.02;
-        let keep_m = self.keep_m() + SHAPE_SLACK_M;
-        let field = ShapeField {
-            occupied: Clearance::new(grid, &self.occupied),
-            blocked: Clearance::new(grid, &self.blocked),
-            keep_m,
-            unknown_room_m: self.params.plan.unknown_room_m,
-            wall_room_m: 0.0,
-        };
-        for p in guide.points.iter_mut().skip(1) {
-            let clearance_m = field.clearance_m(*p);
-            if clearance_m < keep_m + SPARE_M {
-                let moved = *p + field.away(*p) * (keep_m + SPARE_M - clearance_m);
-                if field.clearance_m(moved) > clearance_m {
-                    *p = moved;
-                }
-            }
-        }
-    }
-
-    /// The naive baseline: to the frontier whose centroid is nearest to the goal, through known
-    /// space alone.
-    fn frontier_guide(
-        &mut self,
-        request: &PlanRequest,
-        query: &mut SearchQuery,
-    ) -> Result<Guide, SearchError> {
-        let grid = &request.grid;
-        let start = grid.cell_at(query.start);
-        let mut frontiers = self.frontiers.find(grid, &self.occupied, start, self.keep_m());
-        let to_goal = |p: Point| (p - request.goal.position).norm();
-        frontiers.sort_by(|a, b| to_goal(a.centroid).total_cmp(&to_goal(b.centroid)));
-        let terrain = Terrain {
-            resolution_m: grid.resolution_m(),
-            bounds: grid.bounds(),
-            cells: grid.cells(),
-            lethal: &self.tight,
-        };
-        let mut last = SearchError::Unreachable { expanded: 0 };
-        for frontier in &frontiers {
-            query.goal = grid.centre(frontier.representative);
-            // The disc cannot stand on the frontier itself.
-            query.goal_radius_m = self.keep_m() + 2.0 * grid.resolution_m();
-            let mut view = self.predictor.view(&self.clock);
-            match self.guide.find(&terrain, query, &mut view, &self.params.search) {
-                Ok(guide) if guide.length_m > SHORTEST_PLAN_M => return Ok(guide),
-                Ok(_) => {}
-                Err(error) => last = error,
-            }
-        }
-        Err(last)
-    }
-
     /// Whether the committed plan ends in the goal disc soon: nothing is left to gain then.
     fn nearly_there(&self, request: &PlanRequest, here: &Branch) -> bool {
         const SOON_M: f64 = 3.0;
         let stop = request.committed.trajectory.last().path;
         let inside = (stop.position - request.goal.position).norm() <= request.goal.radius_m;
         inside && stop.s_m - here.s_m < SOON_M
-    }
-
-    /// The committed path carried on into its imagined part, from the take-over on, and whether
-    /// the guide still goes the same way.
-    fn old_way(&self, request: &PlanRequest, guide: &Guide) -> Option<OldWay> {
-        let plan = &request.committed;
-        let start = plan.trajectory.at(request.takes_over).path;
-        let stop = plan.trajectory.last().path;
-        let known = plan.trajectory.points.iter().map(|p| p.path);
-        let mut path = rest_of(known.chain(plan.beyond.points.iter().copied()), start)?;
-        let clearance = Clearance::new(&request.grid, &self.occupied);
-        // What has turned out to be in the way since.
-        let keep_m = self.keep_m();
-        let blocked =
-            path.points.iter().position(|p| clearance.at_up_to(p.position, keep_m) < keep_m);
-        if let Some(first) = blocked {
-            path.points.truncate(first);
-        }
-        let length_m = path.length_m();
-        if path.points.len() < 2 || length_m < OLD_WAY_LEAST_M {
-            return None;
-        }
-        let blend_m = BLEND_LEAST_M + BLEND_S * plan.trajectory.at(request.takes_over).speed_mps;
-        let sees = |a, b| clearance.segment(a, b, SIGHT_M) > 0.0;
-        let follows = same_way(&path, &guide.points, blend_m, sees);
-        let reaches_goal = blocked.is_none()
-            && path.points.last().is_some_and(|p| {
-                (p.position - request.goal.position).norm() <= request.goal.radius_m
-            });
-        let leads_on = length_m > (stop.s_m - start.s_m + SHORTEST_PLAN_M).min(PLENTY_M);
-        let rest_m = (guide.length_m - length_m).max(0.0);
-        let candidate = Candidate { path, reaches_goal, rest_m };
-        let agrees = follows.is_some() && (leads_on || reaches_goal);
-        Some(OldWay { candidate, agrees, follows })
-    }
-
-    /// The way for a car that is headed along the guide: the old path where that is still right
-    /// (smoothing then starts from a shape that is already good), the guide otherwise.
-    fn straight_on(&self, request: &PlanRequest, guide: &Guide, old: Option<&OldWay>) -> Way {
-        let reaches_goal = self.reaches_goal(request, guide);
-        match old {
-            // All the way as before, through known space: the old shape, and the guide beyond its
-            // end. In unknown space the shape has to change with what is seen.
-            Some(OldWay { candidate, follows: Some(Fork { whole: Some(next), .. }), .. })
-                if guide.known_until >= *next =>
-            {
-                let old = candidate.path.points.iter().step_by(2);
-                let mut points: Vec<Point> = old.map(|p| p.position).collect();
-                points.extend_from_slice(&guide.points[*next..]);
-                Way { points, warm: true, manoeuvre: None, reaches_goal }
-            }
-            Some(OldWay { follows: Some(fork), .. }) => {
-                let mut points = fork.blend.clone();
-                points.extend_from_slice(&guide.points[fork.guide + 1..]);
-                Way { points, warm: false, manoeuvre: None, reaches_goal }
-            }
-            _ => Way { points: guide.points.clone(), warm: false, manoeuvre: None, reaches_goal },
-        }
     }
 
     /// The guide with a start that the car can drive.
@@ -848,12 +632,18 @@ impl Planner {
         Ok(Candidate { path, reaches_goal, rest_m })
     }
 
-    /// Seconds to the end of the imagined way, if the car can drive it from its present speed.
-    fn cost_s(&mut self, request: &PlanRequest, candidate: &Candidate) -> Option<f64> {
+    /// Seconds to the end of the imagined way, if the car can drive it from its present speed, under
+    /// further speed caps if any are given.
+    fn cost_s(
+        &mut self,
+        request: &PlanRequest,
+        candidate: &Candidate,
+        caps_mps: Option<&[f64]>,
+    ) -> Option<f64> {
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
         let start_speed_mps = request.committed.trajectory.at(request.takes_over).speed_mps;
         let speed_max_mps = limits.speed_max_mps;
-        let task = SpeedTask { start_speed_mps, end: End::Speed(speed_max_mps), caps_mps: None };
+        let task = SpeedTask { start_speed_mps, end: End::Speed(speed_max_mps), caps_mps };
         let driven_s = self.profiler.travel_time_s(&candidate.path.points, &limits, &task).ok()?;
         Some(driven_s + candidate.rest_m / speed_max_mps)
     }
@@ -985,16 +775,6 @@ impl Branch {
     }
 }
 
-/// What is to be smoothed.
-struct Way {
-    points: Vec<Point>,
-    /// The points are an earlier shape.
-    warm: bool,
-    /// The drivable start, in case smoothing finds nothing.
-    manoeuvre: Option<Path>,
-    reaches_goal: bool,
-}
-
 /// How tightly a shape may bend where the car is still too fast for the tightest turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bends {
@@ -1012,27 +792,6 @@ struct Candidate {
     rest_m: f64,
 }
 
-/// The path that is being driven, with its imagined part.
-struct OldWay {
-    candidate: Candidate,
-    /// The guide goes the same way at first, and there is more of the old path than its
-    /// executable part.
-    agrees: bool,
-    /// How far the guide goes the same way, if it does so for more than the first metres.
-    follows: Option<Fork>,
-}
-
-/// Where a guide leaves a path.
-#[derive(Clone, Debug, PartialEq)]
-struct Fork {
-    /// The last point of the guide that is near the path.
-    guide: usize,
-    /// A line that leads from the path over to the guide up to there.
-    blend: Vec<Point>,
-    /// If the guide stays near the whole path: its first point beyond the path's end.
-    whole: Option<usize>,
-}
-
 struct ClearRoom<'a> {
     clearance: Clearance<'a>,
     keep_m: f64,
@@ -1040,148 +799,8 @@ struct ClearRoom<'a> {
 
 impl Room for ClearRoom<'_> {
     fn fits(&self, centre: Point) -> bool {
-        self.clearance.at_up_to(centre, self.keep_m) >= self.keep_m
+        self.clearance.reaches(centre, self.keep_m)
     }
-}
-
-/// Whether the guide starts out in another direction than the car.
-fn leaves_heading(pose: Pose, guide: &Guide, skip_turn_rad: f64) -> bool {
-    const LOOK_M: f64 = 1.0;
-    const TOO_NEAR_M: f64 = 0.3;
-    let from = |p: &&Point| (**p - pose.position).norm();
-    let ahead = guide.points.iter().find(|p| from(p) >= LOOK_M).or(guide.points.last());
-    ahead.filter(|p| from(p) >= TOO_NEAR_M).is_some_and(|p| {
-        let body = pose.to_body(*p);
-        body.y.atan2(body.x).abs() > skip_turn_rad
-    })
-}
-
-/// How far a guide goes the same way as a path from the same start: within one hallway's width, and
-/// nothing in between (`sees`). `None` if they part within the first metres. The blend changes over
-/// from the path to the guide within `blend_m`.
-fn same_way(
-    path: &Path,
-    guide: &[Point],
-    blend_m: f64,
-    sees: impl Fn(Point, Point) -> bool,
-) -> Option<Fork> {
-    /// Guides are polylines pulled taut around corners, paths swing wide.
-    const APART_M: f64 = 1.2;
-    const AGREE_M: f64 = 2.0;
-    const LOOK_EVERY_M: f64 = 0.25;
-    let points = &path.points;
-    let mut at = 0;
-    let (mut along_m, mut looked_m) = (0.0, 0.0);
-    let mut fork = Fork { guide: 0, blend: vec![points[0].position], whole: None };
-    let mut blending = true;
-    for (i, p) in guide.iter().enumerate().skip(1) {
-        along_m += (p - guide[i - 1]).norm();
-        if along_m < looked_m + LOOK_EVERY_M && i + 1 < guide.len() {
-            continue;
-        }
-        looked_m = along_m;
-        let distance = |k: usize| (points[k].position - p).norm_squared();
-        // The nearest point of the path, never going back, looking a metre or two ahead.
-        let window = at..points.len().min(at + 40);
-        at = window.min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap_or(at);
-        if distance(at) > APART_M * APART_M || !sees(points[at].position, *p) {
-            return (along_m > AGREE_M).then_some(fork);
-        }
-        if blending {
-            fork.guide = i;
-            let share = (along_m / blend_m).min(1.0);
-            let blended = points[at].position + (p - points[at].position) * share;
-            if fork.blend.last().is_none_or(|last| (blended - last).norm() > 0.1) {
-                fork.blend.push(blended);
-            }
-            blending = share < 1.0;
-        }
-        if at + 1 == points.len() {
-            fork.whole = Some(i);
-            return Some(fork);
-        }
-    }
-    fork.whole = Some(guide.len());
-    Some(fork)
-}
-
-/// The part of a path from a point on it on, arc length from zero; `None` if nothing is left.
-fn rest_of(points: impl Iterator<Item = PathPoint>, from: PathPoint) -> Option<Path> {
-    let mut rest = vec![PathPoint { s_m: 0.0, ..from }];
-    rest.extend(
-        points
-            .filter(|p| p.s_m > from.s_m + SHORTEST_EDGE_M)
-            .map(|p| PathPoint { s_m: p.s_m - from.s_m, ..p }),
-    );
-    (rest.len() > 1).then_some(Path { points: rest })
-}
-
-/// The committed path from `from` to the branch point, then `path`; arc length from zero. Where the
-/// two do not bend alike there (a manoeuvre as it was found), the curvature changes linearly over
-/// two millimetres.
-fn join(committed: &Trajectory, from: PathPoint, branch: &Branch, path: &Path) -> Path {
-    const HALF_M: f64 = 1e-3;
-    const ALIKE_PM: f64 = 1e-3;
-    let first = path.points[0];
-    let alike = (first.curvature_pm - branch.point.curvature_pm).abs() < ALIKE_PM;
-    let gap_m = if alike { 0.0 } else { HALF_M };
-    let before = committed.points.iter().map(|p| p.path);
-    let before = before.filter(|p| p.s_m < branch.s_m - gap_m - SHORTEST_EDGE_M);
-    let mut joined = rest_of(before, from)
-        .unwrap_or_else(|| Path { points: vec![PathPoint { s_m: 0.0, ..from }] });
-    let length_m = branch.s_m - from.s_m;
-    let mut points = path.points.iter();
-    if !alike && length_m > gap_m + SHORTEST_EDGE_M {
-        let last = committed.at_distance(branch.s_m - gap_m).path;
-        joined.points.push(PathPoint { s_m: length_m - gap_m, ..last });
-        points.next();
-        let turn = Pose { position: first.position, heading_rad: first.heading_rad };
-        let turn = turn.along_arc(gap_m, first.curvature_pm * gap_m);
-        joined.points.push(PathPoint {
-            s_m: length_m + gap_m,
-            position: turn.position,
-            heading_rad: turn.heading_rad,
-            curvature_pm: first.curvature_pm,
-        });
-    }
-    let beyond = points.filter(|p| alike || p.s_m > gap_m + SHORTEST_EDGE_M);
-    joined.points.extend(beyond.map(|p| PathPoint { s_m: p.s_m + length_m, ..*p }));
-    joined
-}
-
-/// Arcs of constant curvature, each sample with the curvature of the piece that follows it, as a
-/// path whose curvature changes linearly over two millimetres where pieces meet.
-fn with_transitions(arcs: &Path) -> Path {
-    const HALF_M: f64 = 1e-3;
-    let step = |p: &PathPoint, ds: f64, curvature_pm: f64| {
-        let pose = Pose { position: p.position, heading_rad: p.heading_rad };
-        let moved = pose.along_arc(ds, ds * curvature_pm);
-        PathPoint {
-            s_m: p.s_m + ds,
-            position: moved.position,
-            heading_rad: moved.heading_rad,
-            curvature_pm,
-        }
-    };
-    let points = &arcs.points;
-    let mut path = Path::default();
-    for (i, p) in points.iter().enumerate() {
-        let before = if i > 0 { points[i - 1].curvature_pm } else { p.curvature_pm };
-        let last = i + 1 == points.len();
-        if last || before == p.curvature_pm {
-            path.points.push(PathPoint { curvature_pm: before, ..*p });
-        } else {
-            path.points.push(step(p, -HALF_M, before));
-            path.points.push(step(p, HALF_M, p.curvature_pm));
-        }
-    }
-    path
-}
-
-/// Why there is no guide.
-enum GuideFailure {
-    Unreachable,
-    Nothing,
 }
 
 /// Measures consecutive parts.

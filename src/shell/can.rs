@@ -29,6 +29,7 @@ use raw::Raw;
 use stamps::Stamps;
 
 use super::clock::Clock;
+use super::watch::{Descriptor, watched};
 use crate::time::{Duration, Instant};
 use crate::wire::can::{CanFrame, Layout, Sender, messages};
 
@@ -160,7 +161,7 @@ pub enum SendFault {
 #[derive(Debug)]
 pub struct CanLink {
     interface: String,
-    socket: AsyncFd<CanFdSocket>,
+    socket: AsyncFd<Descriptor<CanFdSocket>>,
     clock: Clock,
     inner: Mutex<Inner>,
 }
@@ -231,7 +232,7 @@ impl CanLink {
                 .map_err(system("make room for frames"))?;
         }
         socket.set_nonblocking(true).map_err(system("make its socket non-blocking"))?;
-        let socket = watched(socket).map_err(system("watch its socket"))?;
+        let socket = watched(socket, WATCHED).map_err(system("watch its socket"))?;
         let control = nix::cmsg_space!(TimeSpec, u32);
         let link = Self {
             interface: name(),
@@ -352,7 +353,7 @@ impl CanLink {
 
 impl Inner {
     /// Reads one frame into the batch.
-    fn read(&mut self, socket: &AsyncFd<CanFdSocket>) -> Result<(), Errno> {
+    fn read(&mut self, socket: &AsyncFd<Descriptor<CanFdSocket>>) -> Result<(), Errno> {
         let mut bytes = [0; raw::FD_BYTES];
         let mut slices = [IoSliceMut::new(&mut bytes)];
         let flags = MsgFlags::MSG_DONTWAIT;
@@ -414,15 +415,6 @@ impl Inner {
 
 /// Frames and the news that the interface went down.
 const WATCHED: Interest = Interest::READABLE.add(Interest::ERROR);
-
-/// The socket under the eyes of the runtime.
-#[expect(
-    deprecated,
-    reason = "a socket that owns its descriptor meets what the unsafe successor asks for"
-)]
-fn watched(socket: CanFdSocket) -> std::io::Result<AsyncFd<CanFdSocket>> {
-    AsyncFd::with_interest(socket, WATCHED)
-}
 
 /// Whether this process may have CAN sockets at all.
 fn probe(interface: &str) -> Result<(), CanLinkError> {

@@ -1,13 +1,20 @@
 //! The command line's grammar.
 
+mod run;
+
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{ArgAction, Args, Parser, Subcommand};
 
+pub use run::RunArgs;
+
+use super::car::CarRequest;
 use super::configuration::Flag;
+use super::experiment::args::ExperimentArgs;
 use super::mavlink::LinkUrl;
-use super::sil::{SilRequest, WorldSource};
+use super::place::{PlaceRequest, WorldSource};
+use super::sil::SilRequest;
 use crate::experiment::dataset::{HELD_OUT_FROM, Settings};
 use crate::experiment::evaluate::{Request, SceneSource, SetRequest};
 use crate::frames::{Point, Pose};
@@ -17,6 +24,7 @@ use crate::predict::PredictorKind;
 use crate::sim::maze::Family;
 use crate::sim::rig::Latency;
 use crate::tunable::{Field, Value};
+use crate::wire::can::Layout;
 
 /// Drives an RC-scale car fast and safely through places it has never seen.
 ///
@@ -41,21 +49,29 @@ pub enum Command {
     Sil(Box<SilArgs>),
     /// Drive the car on a CAN bus: the daemon.
     Run(Box<RunArgs>),
+    /// Be the simulated car on a CAN interface.
+    ///
+    /// In real time, with the worlds, the lidar and the controller of `apexd sil`; the daemon
+    /// (`apexd run`) is another process. The car starts when it is told to and the drive is over
+    /// when it has stood at the goal for a second.
+    Car(Box<CarArgs>),
     /// Write a maze as ROS map_server files.
     Maze(MazeArgs),
     /// Make training or held-out data for the predictor.
     Dataset(Box<DatasetArgs>),
     /// Score what predicts occupancy, on scenes that it has not seen.
     Evaluate(Box<EvaluateArgs>),
+    /// Re-run the paper's experiments, or look for unsafe drives at random.
+    Experiment(ExperimentArgs),
     /// Print the table of parameters.
     Params(ParamsArgs),
     /// Say what is wrong with a configuration file.
     Check(CheckArgs),
 }
 
-/// Options of `apexd sil`.
-#[derive(Args, Debug)]
-pub struct SilArgs {
+/// The world of a drive, its start and its goal.
+#[derive(Args, Clone, Debug)]
+pub struct WorldArgs {
     /// Drive through the random maze with this number.
     #[arg(long, value_name = "SEED", default_value_t = 1, help_heading = "World")]
     pub maze: u64,
@@ -95,6 +111,25 @@ pub struct SilArgs {
         help_heading = "World"
     )]
     pub goal: Option<Point>,
+}
+
+impl WorldArgs {
+    /// What these options ask for.
+    fn place(&self) -> PlaceRequest {
+        let world = match &self.map {
+            Some(file) => WorldSource::Map { file: file.clone() },
+            None => WorldSource::Maze { seed: self.maze, family: self.family },
+        };
+        PlaceRequest { world, start: self.start, goal: self.goal }
+    }
+}
+
+/// Options of `apexd sil`.
+#[derive(Args, Debug)]
+pub struct SilArgs {
+    /// Where to drive.
+    #[command(flatten)]
+    pub world: WorldArgs,
 
     /// How to plan [parameter plan.policy].
     #[arg(long, value_parser = policy(), help_heading = "Planning")]
@@ -206,14 +241,8 @@ impl SilArgs {
 
     /// The drive that these options ask for.
     pub fn request(&self, params: Params, out: PathBuf) -> SilRequest {
-        let world = match &self.map {
-            Some(file) => WorldSource::Map { file: file.clone() },
-            None => WorldSource::Maze { seed: self.maze, family: self.family },
-        };
         SilRequest {
-            world,
-            start: self.start,
-            goal: self.goal,
+            place: self.world.place(),
             seed: self.seed,
             latency: self.latency,
             time_limit_s: self.time_limit,
@@ -226,44 +255,32 @@ impl SilArgs {
     }
 }
 
-/// Options of `apexd run`.
-///
-/// Runs until it is told to end (Ctrl-C, SIGTERM): the car then comes to rest first, and the exit
-/// code is 0; told again, it ends at once. SIGHUP or a change of the configuration file re-reads
-/// the configuration: parameters that take effect at once do so, those that wait for rest if the
-/// car is at rest, and the others are refused by name.
+/// Options of `apexd car`.
 #[derive(Args, Debug)]
-pub struct RunArgs {
-    /// Where the car stands when the daemon starts: metres in the map frame, degrees
-    /// counter-clockwise from map x. 0,0,0 if not given.
-    #[arg(
-        long,
-        value_name = "X,Y,DEG",
-        value_parser = pose,
-        allow_hyphen_values = true,
-        help_heading = "Drive"
-    )]
-    pub start: Option<Pose>,
-    /// Where to drive: metres in the map frame. The daemon arms by itself as soon as the checks
-    /// pass, and says what it waits for; not after a run that ended unexpectedly.
-    #[arg(
-        long,
-        value_name = "X,Y",
-        value_parser = point,
-        allow_hyphen_values = true,
-        help_heading = "Drive"
-    )]
-    pub goal: Option<Point>,
-    /// End at the goal instead of waiting there, armed, for another one.
-    #[arg(long, requires = "goal", help_heading = "Drive")]
-    pub until_goal: bool,
-    /// End after so many seconds, the car at rest; a goal not reached by then is a failure.
-    #[arg(long, value_name = "SECONDS", value_parser = positive, help_heading = "Drive")]
-    pub time_limit: Option<f64>,
-
-    /// The CAN interface [parameter can.interface].
-    #[arg(long, value_name = "IFACE", help_heading = "Configuration")]
+pub struct CarArgs {
+    /// CAN interface, as `ip link` shows it [parameter can.interface].
+    #[arg(long, value_name = "IFACE", help_heading = "Bus")]
     pub can: Option<String>,
+    /// Which family of frames is spoken [parameter can.layout].
+    #[arg(long, value_parser = layout(), help_heading = "Bus")]
+    pub layout: Option<Layout>,
+    /// Where to drive.
+    #[command(flatten)]
+    pub world: WorldArgs,
+    /// What happens to the car and the bus under way: emergency stop, a box on the way, lost
+    /// frames and more (TOML, see docs/car.md).
+    #[arg(long, value_name = "FILE.toml", help_heading = "Simulation")]
+    pub script: Option<PathBuf>,
+    /// Seed of everything random during the drive (sensor noise, faults).
+    #[arg(long, default_value_t = 1, help_heading = "Simulation")]
+    pub seed: u64,
+    /// Give up after this many seconds from the first motion on, or from the start without one.
+    #[arg(long, value_name = "SECONDS", value_parser = positive, help_heading = "Simulation")]
+    pub time_limit: Option<f64>,
+    /// Go on after the goal is reached or something is touched, until SIGTERM or the time limit.
+    #[arg(long, help_heading = "Simulation")]
+    pub stay: bool,
+
     /// Configuration file (TOML) over the built-in defaults.
     #[arg(long, value_name = "FILE", help_heading = "Configuration")]
     pub config: Option<PathBuf>,
@@ -276,17 +293,37 @@ pub struct RunArgs {
     )]
     pub set: Vec<String>,
 
-    /// Print the statistics as one JSON object at the end.
+    /// Write the truth to this file, line by line: where the car is, what it touches, what it enters
+    /// unseen (JSON, see docs/car.md).
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
+    pub truth: Option<PathBuf>,
+    /// Print the figures as one JSON object instead of the summary.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
 }
 
-impl RunArgs {
+impl CarArgs {
     /// The parameters that have options of their own, as far as they are given.
     pub(super) fn flags(&self) -> Vec<Flag> {
         let interface = self.can.clone().map(Value::Text);
-        let flag = |value| Flag { option: "--can", key: "can.interface", value };
-        interface.map(flag).into_iter().collect()
+        let layout = self.layout.map(|layout| layout.to_value());
+        [("--can", "can.interface", interface), ("--layout", "can.layout", layout)]
+            .into_iter()
+            .filter_map(|(option, key, value)| Some(Flag { option, key, value: value? }))
+            .collect()
+    }
+
+    /// The drive that these options ask for.
+    pub fn request(&self, params: Params) -> CarRequest {
+        CarRequest {
+            place: self.world.place(),
+            script: self.script.clone(),
+            seed: self.seed,
+            time_limit_s: self.time_limit,
+            stay: self.stay,
+            truth: self.truth.clone(),
+            params,
+        }
     }
 }
 
@@ -560,8 +597,12 @@ fn choice<T: Copy + Send + Sync + 'static>(
     })
 }
 
-fn family() -> impl TypedValueParser<Value = Family> {
+pub(super) fn family() -> impl TypedValueParser<Value = Family> {
     choice(Family::ALL, Family::name, Family::text)
+}
+
+fn layout() -> impl TypedValueParser<Value = Layout> {
+    choice(Layout::ALL, Layout::name, Layout::text)
 }
 
 fn policy() -> impl TypedValueParser<Value = Policy> {
@@ -624,7 +665,7 @@ fn point(text: &str) -> Result<Point, String> {
     Ok(Point::new(x, y))
 }
 
-fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| "wanted is a number above zero".to_owned())
 }
@@ -634,7 +675,7 @@ fn not_negative(text: &str) -> Result<f64, String> {
     value.ok_or_else(|| "wanted is a number of seconds, zero or more".to_owned())
 }
 
-fn latency(text: &str) -> Result<Latency, String> {
+pub(super) fn latency(text: &str) -> Result<Latency, String> {
     if text == "measured" {
         return Ok(Latency::Measured);
     }
@@ -681,8 +722,8 @@ mod tests {
     #[test]
     fn without_options_a_thin_maze_is_driven() {
         let request = request("");
-        assert_eq!(request.world, WorldSource::Maze { seed: 1, family: Family::Thin });
-        assert_eq!((request.start, request.goal), (None, None));
+        assert_eq!(request.place.world, WorldSource::Maze { seed: 1, family: Family::Thin });
+        assert_eq!((request.place.start, request.place.goal), (None, None));
         assert!(sil("").unwrap().flags().is_empty());
         assert_eq!(request.latency, Latency::Fixed(0.02));
         assert!(!request.realtime);
@@ -694,9 +735,9 @@ mod tests {
             "--maze 7 --family branching --start -1.5,2,-90 --goal -3,4.25 --seed 9 \
              --latency measured --time-limit 60 --realtime",
         );
-        assert_eq!(request.world, WorldSource::Maze { seed: 7, family: Family::Branching });
-        assert_eq!(request.start, Some(Pose::new(-1.5, 2.0, -std::f64::consts::FRAC_PI_2)));
-        assert_eq!(request.goal, Some(Point::new(-3.0, 4.25)));
+        assert_eq!(request.place.world, WorldSource::Maze { seed: 7, family: Family::Branching });
+        assert_eq!(request.place.start, Some(Pose::new(-1.5, 2.0, -std::f64::consts::FRAC_PI_2)));
+        assert_eq!(request.place.goal, Some(Point::new(-3.0, 4.25)));
         assert_eq!((request.time_limit_s, request.seed), (Some(60.0), 9));
         assert_eq!((request.latency, request.realtime), (Latency::Measured, true));
     }
@@ -722,7 +763,37 @@ mod tests {
         let both = sil("--map a.yaml --maze 3 --start 0,0,0 --goal 1,2").unwrap_err();
         assert_eq!(both.kind(), ErrorKind::ArgumentConflict);
         let request = request("--map a.yaml --start 0,0,0 --goal 1,2");
-        assert_eq!(request.world, WorldSource::Map { file: "a.yaml".into() });
+        assert_eq!(request.place.world, WorldSource::Map { file: "a.yaml".into() });
+    }
+
+    #[test]
+    fn the_car_takes_the_world_options_of_the_simulator_and_its_own() {
+        let car = |arguments: &str| -> Result<CarArgs, clap::Error> {
+            let words = ["apexd", "car"].into_iter().chain(arguments.split_whitespace());
+            match Cli::try_parse_from(words)?.command {
+                Command::Car(args) => Ok(*args),
+                other => panic!("{other:?}"),
+            }
+        };
+        let args = car("--can vcan7 --layout classic --maze 4 --goal -1,2 --script s.toml \
+                        --truth t.jsonl --seed 3 --time-limit 9 --stay")
+        .unwrap();
+        let mut params = Params::default();
+        for flag in args.flags() {
+            params.set(flag.key, &flag.value).unwrap_or_else(|error| panic!("{flag:?} {error}"));
+        }
+        assert_eq!(params.can.interface, "vcan7");
+        assert_eq!(params.can.layout, Layout::Classic);
+        let request = args.request(params);
+        assert_eq!(request.place.world, WorldSource::Maze { seed: 4, family: Family::Thin });
+        assert_eq!(request.place.goal, Some(Point::new(-1.0, 2.0)));
+        assert_eq!((request.seed, request.time_limit_s, request.stay), (3, Some(9.0), true));
+        assert_eq!(request.script, Some("s.toml".into()));
+        assert_eq!(request.truth, Some("t.jsonl".into()));
+        assert!(car("").unwrap().flags().is_empty());
+        assert_eq!(car("--layout lin").unwrap_err().exit_code(), 2);
+        let missing = car("--map a.yaml --goal 1,2").unwrap_err();
+        assert_eq!(missing.kind(), ErrorKind::MissingRequiredArgument);
     }
 
     #[test]

@@ -36,8 +36,9 @@ pub fn discard_if_empty(folder: &Path) {
     let _ = std::fs::remove_dir(folder);
 }
 
+/// The time of day, UTC, as ISO 8601 writes it in its basic form.
 #[expect(clippy::disallowed_methods, reason = "the shell may ask for the time of day")]
-fn now() -> String {
+pub fn now() -> String {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     utc_text(since.as_secs())
 }

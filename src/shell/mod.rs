@@ -2,20 +2,24 @@
 //! shows while it lasts, and what it leaves behind.
 
 pub mod can;
+pub mod car;
 pub mod cli;
 pub mod clock;
 mod configuration;
 pub mod daemon;
 mod dataset;
 mod evaluate;
+mod experiment;
 mod folder;
 mod load;
 pub mod mavlink;
 mod pace;
+pub mod place;
 mod progress;
 pub mod report;
 pub mod sil;
 mod simulator;
+mod watch;
 
 use std::ffi::OsString;
 use std::io::Write;
@@ -24,9 +28,9 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
-use crate::params::{Origin, document};
+use crate::params::{Origin, Params, document};
 use crate::sim::drive::Outcome;
-use cli::{CheckArgs, Cli, Command, MazeArgs, ParamsArgs, SilArgs};
+use cli::{CarArgs, CheckArgs, Cli, Command, MazeArgs, ParamsArgs, SilArgs};
 use progress::Terminal;
 use sil::{RunError, Simulator};
 use simulator::RigSimulator;
@@ -76,9 +80,11 @@ fn execute(
     match &cli.command {
         Command::Sil(args) => drive(args, environment, simulator, terminal, out),
         Command::Run(args) => daemon::run(args, environment, cli.verbose, out),
+        Command::Car(args) => car(args, environment, out),
         Command::Maze(args) => maze(args, simulator, out),
         Command::Dataset(args) => dataset::run(args, terminal, out),
         Command::Evaluate(args) => evaluate::run(args, terminal, out),
+        Command::Experiment(args) => experiment::run(args, terminal, out),
         Command::Params(args) => params(*args, out),
         Command::Check(args) => check(args, out),
     }
@@ -92,16 +98,9 @@ fn drive(
     out: &mut dyn Write,
 ) -> Exit {
     let file = args.config.as_deref();
-    let params = match configuration::load(file, environment, &args.set, &args.flags()) {
+    let params = match configured(file, environment, &args.set, &args.flags()) {
         Ok(params) => params,
-        Err(faults) if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) => {
-            complain(&faults.to_string());
-            return Exit::Usage;
-        }
-        Err(faults) => {
-            complain(&format!("bad configuration\n{faults}"));
-            return Exit::Configuration;
-        }
+        Err(exit) => return exit,
     };
     let folder = match folder::prepare(args.out.as_deref()) {
         Ok(folder) => folder,
@@ -143,6 +142,42 @@ fn drive(
         _ => false,
     };
     if done { Exit::Done } else { Exit::Failed }
+}
+
+fn car(args: &CarArgs, environment: &[(OsString, OsString)], out: &mut dyn Write) -> Exit {
+    let file = args.config.as_deref();
+    let params = match configured(file, environment, &args.set, &args.flags()) {
+        Ok(params) => params,
+        Err(exit) => return exit,
+    };
+    let end = match car::drive(&args.request(params)) {
+        Ok(end) => end,
+        Err(error) => return refuse(&error),
+    };
+    if args.json {
+        say(out, &serde_json::to_string(&end).expect("a summary is plain data"));
+    } else {
+        say(out, &end.text());
+    }
+    if end.summary.outcome == Outcome::Goal { Exit::Done } else { Exit::Failed }
+}
+
+/// The parameters of a run, or how it ends because they are bad.
+fn configured(
+    file: Option<&Path>,
+    environment: &[(OsString, OsString)],
+    set: &[String],
+    flags: &[configuration::Flag],
+) -> Result<Params, Exit> {
+    configuration::load(file, environment, set, flags).map_err(|faults| {
+        if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) {
+            complain(&faults.to_string());
+            Exit::Usage
+        } else {
+            complain(&format!("bad configuration\n{faults}"));
+            Exit::Configuration
+        }
+    })
 }
 
 fn maze(args: &MazeArgs, simulator: &dyn Simulator, out: &mut dyn Write) -> Exit {

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::mavlink::LinkUrl;
+use super::place::PlaceRequest;
 use super::report::{DriveRecord, outcome_text};
-use crate::frames::{Point, Pose};
 use crate::params::Params;
 use crate::plan::Policy;
 use crate::predict::PredictorKind;
@@ -12,32 +12,11 @@ use crate::sim::drive::{Spread, Summary};
 use crate::sim::maze::Family;
 use crate::sim::rig::Latency;
 
-/// Where the walls come from.
-#[derive(Clone, Debug, PartialEq)]
-pub enum WorldSource {
-    /// A random maze.
-    Maze {
-        /// Its number.
-        seed: u64,
-        /// Its kind.
-        family: Family,
-    },
-    /// A ROS map_server map.
-    Map {
-        /// Its YAML file.
-        file: PathBuf,
-    },
-}
-
 /// One drive, with every option checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SilRequest {
-    /// Where to drive.
-    pub world: WorldSource,
-    /// Where to begin, map frame; the maze's own start if not given. Always given with a map.
-    pub start: Option<Pose>,
-    /// Where to go, map frame; the maze's own goal if not given. Always given with a map.
-    pub goal: Option<Point>,
+    /// Where to drive, from where and to where.
+    pub place: PlaceRequest,
     /// Seed of everything random during the drive.
     pub seed: u64,
     /// Time from a scan to its plan.
@@ -59,20 +38,17 @@ pub struct SilRequest {
 impl SilRequest {
     /// Whether ground stations say where to drive and when it is over.
     pub fn is_attended(&self) -> bool {
-        !self.links.is_empty() && self.goal.is_none()
+        !self.links.is_empty() && self.place.goal.is_none()
     }
 
     /// What is driven, in a few words: world, policy and predictor.
     pub fn title(&self) -> String {
-        let world = match &self.world {
-            WorldSource::Maze { seed, family } => format!("maze {seed} ({})", family.name()),
-            WorldSource::Map { file } => {
-                file.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into())
-            }
-        };
+        let world = self.place.world.title();
         let policy = self.params.plan.policy;
         let predictor = match policy {
-            Policy::MapPredictive => format!(", {}", self.predictor()),
+            Policy::MapPredictive | Policy::Janson | Policy::JansonLite => {
+                format!(", {}", self.predictor())
+            }
             Policy::Frontier | Policy::KnownMap => String::new(),
         };
         format!("{world} · {}{predictor}", policy.name())
@@ -115,6 +91,11 @@ pub enum RunError {
     /// It was possible, but did not work.
     #[error("{0}")]
     Failed(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// What was asked for is impossible.
+pub(super) fn input(error: impl std::error::Error + Send + Sync + 'static) -> RunError {
+    RunError::Input(Box::new(error))
 }
 
 /// What the command line drives.

@@ -5,21 +5,17 @@ use std::path::Path;
 
 use super::mavlink::Attended;
 use super::pace;
+use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
-use super::sil::{Progress, RunError, SilRequest, Simulator, WorldSource};
-use crate::autopilot::{Action, CoreParams, Event};
-use crate::frames::{Point, Pose};
+use super::sil::{Progress, RunError, SilRequest, Simulator, input};
+use crate::autopilot::{Action, Event};
+use crate::frames::Point;
 use crate::mapfile;
-use crate::params::Params;
-use crate::plan::PlannerParams;
 use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
 use crate::sim::rig::{Rig, RigSetup};
 use crate::sim::world::World;
-use crate::wire::can::Layout;
 
-/// Side of a cell of a maze, metres; a map file brings its own.
-const MAZE_RESOLUTION_M: f64 = 0.1;
 /// Simulated time between two looks at the progress, seconds.
 const PROGRESS_PERIOD_S: f64 = 0.1;
 
@@ -32,16 +28,22 @@ impl Simulator for RigSimulator {
         request: &SilRequest,
         progress: &mut dyn FnMut(&Progress),
     ) -> Result<DriveRecord, RunError> {
-        let place = Place::of(request)?;
+        let mut wanted = request.place.clone();
+        if request.is_attended() {
+            // Nobody looks at it: the ground station says where to go.
+            wanted.goal = wanted.start.map(|start| start.position);
+        }
+        let place = wanted.place()?;
+        warn_of_load(&request.params);
         let truth = walls(&place.world);
         let start = place.start;
-        let mut goal = place.goal;
+        let mut goal = if request.is_attended() { None } else { Some(place.needed_goal()?) };
         let mut attended = if request.links.is_empty() {
             None
         } else {
             Some(Attended::start(&request.params, &request.links, start).map_err(input)?)
         };
-        let mut rig = Rig::new(setup(request, place)).map_err(input)?;
+        let mut rig = Rig::new(setup(request, place, goal)).map_err(input)?;
         rig.keep_snapshot(request.snapshot_s);
 
         let begin = pace::now();
@@ -92,58 +94,21 @@ impl Simulator for RigSimulator {
     }
 }
 
-fn input(error: impl std::error::Error + Send + Sync + 'static) -> RunError {
-    RunError::Input(Box::new(error))
-}
-
-/// Where to drive, from where and to where.
-struct Place {
-    world: World,
-    start: Pose,
-    goal: Option<Point>,
-}
-
-impl Place {
-    fn of(request: &SilRequest) -> Result<Self, RunError> {
-        match &request.world {
-            WorldSource::Maze { seed, family } => {
-                let maze = maze::generate(*family, *seed, MAZE_RESOLUTION_M).map_err(input)?;
-                Ok(Self {
-                    start: request.start.unwrap_or(maze.start),
-                    goal: request.goal.or((!request.is_attended()).then_some(maze.goal)),
-                    world: maze.world,
-                })
-            }
-            WorldSource::Map { file } => {
-                let missing = |what: &str| RunError::Input(format!("a map needs --{what}").into());
-                Ok(Self {
-                    start: request.start.ok_or_else(|| missing("start X,Y,DEG"))?,
-                    goal: match request.goal {
-                        None if !request.is_attended() => return Err(missing("goal X,Y")),
-                        goal => goal,
-                    },
-                    world: World::from_map(&mapfile::load(file).map_err(input)?),
-                })
-            }
-        }
-    }
-}
-
-fn setup(request: &SilRequest, place: Place) -> RigSetup {
+fn setup(request: &SilRequest, place: Place, goal: Option<Point>) -> RigSetup {
     let params = &request.params;
     let begin = pace::now();
     RigSetup {
         world: place.world,
         start: place.start,
-        goal: place.goal,
-        core: core_params(params),
-        planner: planner_params(params),
+        goal,
+        core: params.core(),
+        planner: params.planner(),
         predict: params.predict.clone(),
         bus: params.bus.clone(),
         lidar: params.lidar.clone(),
         car: params.car.clone(),
         controller: params.controller.clone(),
-        layout: Layout::Fd,
+        layout: params.can.layout,
         faults: FaultPlan::default(),
         seed: request.seed,
         latency: request.latency,
@@ -154,35 +119,8 @@ fn setup(request: &SilRequest, place: Place) -> RigSetup {
     }
 }
 
-/// The core's parameters.
-pub(super) fn core_params(params: &Params) -> CoreParams {
-    CoreParams {
-        vehicle: params.vehicle.clone(),
-        autopilot: params.autopilot.clone(),
-        map: params.map.clone(),
-        control: params.control.clone(),
-        guard: params.guard.clone(),
-        certify: params.certify.clone(),
-        speed: params.speed.clone(),
-    }
-}
-
-/// The planner's parameters.
-pub(super) fn planner_params(params: &Params) -> PlannerParams {
-    PlannerParams {
-        vehicle: params.vehicle.clone(),
-        plan: params.plan.clone(),
-        search: params.search.clone(),
-        manoeuvre: params.manoeuvre.clone(),
-        smooth: params.smooth.clone(),
-        speed: params.speed.clone(),
-        certify: params.certify.clone(),
-        foreseen: params.foreseen.clone(),
-    }
-}
-
 /// Where solid and free touch, map frame.
-fn walls(world: &World) -> Vec<[Point; 2]> {
+pub(super) fn walls(world: &World) -> Vec<[Point; 2]> {
     let solid = |x: usize, y: usize| world.is_cell_solid(x as i64, y as i64);
     let (origin, resolution_m) = (world.origin(), world.resolution_m());
     outline(world.width(), world.height(), solid, |p| origin.to_map(p * resolution_m))

@@ -128,6 +128,11 @@ impl Controller {
         self.emergency_stop = pressed;
     }
 
+    /// The battery voltage reported from now on, volts.
+    pub fn set_battery_v(&mut self, battery_v: f64) {
+        self.params.battery_v = battery_v;
+    }
+
     /// Tails that were refused.
     pub const fn tails_refused(&self) -> u64 {
         self.tails_refused

@@ -1,11 +1,11 @@
 //! What is kept of a simulated drive: the summary a script reads and the trace a person looks at.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::frames::{Point, Pose};
 
 /// How a drive ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Outcome {
     /// True centre within the goal radius and at rest.
@@ -23,7 +23,7 @@ pub enum Outcome {
 }
 
 /// Spread of a wall-clock or age figure, in milliseconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Spread {
     /// Median.
     pub p50: f64,

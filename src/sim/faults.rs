@@ -129,7 +129,7 @@ impl FrameFault {
 }
 
 /// How often each fault struck.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FaultCounts {
     /// Frames lost by chance.
     pub lost: u64,
@@ -192,6 +192,29 @@ impl FaultyBus {
         self.nodes.push(node);
         self.arriving.push(BTreeMap::new());
         node
+    }
+
+    /// Lets more go wrong: the plan's times count from `origin` on, and nothing of it lasts beyond
+    /// `end`. Its seed does not count; chance goes on as it began.
+    pub fn add(&mut self, plan: &FaultPlan, origin: Instant, end: Option<Instant>) {
+        let origin_s = origin.as_secs_f64();
+        let end_s = end.map_or(f64::INFINITY, Instant::as_secs_f64);
+        let window = |from_s: f64, until_s: f64| {
+            (origin_s + from_s.max(0.0), (origin_s + until_s).min(end_s))
+        };
+        for fault in &plan.frames {
+            let (from_s, until_s) = window(fault.from_s, fault.until_s);
+            self.plan.frames.push(FrameFault { from_s, until_s, ..fault.clone() });
+        }
+        for cut in &plan.cuts {
+            let (from_s, until_s) = window(cut.from_s, cut.until_s);
+            self.plan.cuts.push(Cut { from_s, until_s, ..cut.clone() });
+        }
+        for flood in &plan.floods {
+            let (from_s, until_s) = window(flood.from_s, flood.until_s);
+            self.flood_next.push(Instant::ZERO.offset_by(from_s));
+            self.plan.floods.push(Flood { from_s, until_s, ..flood.clone() });
+        }
     }
 
     /// How often each fault struck so far.
@@ -415,6 +438,38 @@ mod tests {
         assert_eq!(got.len(), 1000);
         assert!(got.windows(2).all(|pair| pair[0].0 <= pair[1].0));
         assert!(got.windows(2).any(|pair| number(&pair[0].1) > number(&pair[1].1)));
+    }
+
+    #[test]
+    fn what_is_added_under_way_counts_its_times_from_there_and_ends_with_it() {
+        let all = FaultPlan {
+            seed: 9,
+            frames: vec![FrameFault { until_s: 0.1, ..fault(Harm::Loss, 1.0) }],
+            cuts: vec![Cut { node: 1, from_s: 0.2, until_s: f64::INFINITY }],
+            floods: vec![Flood {
+                id: 0x7FF,
+                fd: false,
+                period_s: 0.01,
+                from_s: 0.0,
+                until_s: f64::INFINITY,
+            }],
+        };
+        let mut bus = FaultyBus::new(&BusParams::default(), FaultPlan::default());
+        let (a, b) = (bus.join(), bus.join());
+        let mut got = Vec::new();
+        for i in 0..1000u64 {
+            if i == 500 {
+                bus.add(&all, at(500), Some(at(800)));
+            }
+            let frame = CanFrame::new(CanId::standard(0x100), false, &i.to_le_bytes());
+            bus.send(at(i), a, frame.unwrap()).unwrap();
+            bus.advance(at(i) + crate::time::Duration::from_micros(900));
+            got.extend(std::iter::from_fn(|| bus.receive(b)).map(|(_, f)| f));
+        }
+        let numbers: Vec<u64> = got.iter().filter(|f| f.id.raw() == 0x100).map(number).collect();
+        let whole = (0..500).chain(600..700).chain(800..1000);
+        assert_eq!(numbers, whole.collect::<Vec<u64>>());
+        assert_eq!(bus.counts().flooded, 30);
     }
 
     #[test]

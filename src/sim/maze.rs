@@ -1,5 +1,5 @@
 //! Mazes of three families on ten by ten hallway cells of 2.5 m, the size of the mazes in
-//! Elhafsi et al. 2020.
+//! Elhafsi et al. 2020, and fields of posts.
 //!
 //! Lattice cell `(i, j)` reaches from `2.5 i` to `2.5 (i+1)` metres in map x and likewise in y, so
 //! the lattice covers 0 to 25 m. Walls are one world cell thick and stand on the low side of the
@@ -11,6 +11,7 @@
 //! every machine, and at every resolution.
 
 mod lattice;
+mod posts;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -20,6 +21,8 @@ use super::world::World;
 use crate::frames::{Point, Pose};
 use crate::mapfile::MapFile;
 
+/// Side of a world cell where nothing else is asked for, metres.
+pub const RESOLUTION_M: f64 = 0.1;
 /// Width of a hallway from wall line to wall line, metres.
 pub const HALLWAY_M: f64 = 2.5;
 
@@ -32,6 +35,8 @@ crate::choices! {
         Solid = "solid",
         /// Hallways everywhere, with dead ends and some loops.
         Branching = "branching",
+        /// No maze: a walled field with scattered clumps of posts, in the manner of the BARN worlds.
+        Posts = "posts",
     }
 }
 
@@ -63,8 +68,13 @@ pub struct Maze {
     /// Centre of the route's last cell, at the lattice's upper right.
     pub goal: Point,
     /// The lattice cells `(i, j)` from start to goal: the only way, or for
-    /// [`Family::Branching`] one with the fewest cells.
+    /// [`Family::Branching`] one with the fewest cells; empty for [`Family::Posts`].
     pub route: Vec<(u8, u8)>,
+}
+
+impl Family {
+    /// The families with hallways.
+    pub const MAZES: [Self; 3] = [Self::Thin, Self::Solid, Self::Branching];
 }
 
 impl Maze {
@@ -97,6 +107,7 @@ pub fn generate(family: Family, seed: u64, resolution_m: f64) -> Result<Maze, Ma
         Family::Thin => Lattice::winding(&mut rng),
         Family::Solid => Lattice::direct(&mut rng),
         Family::Branching => Lattice::branching(&mut rng),
+        Family::Posts => return Ok(posts::field(seed, &mut rng, cells as usize, resolution_m)),
     };
     let n = cells as usize;
     let side = SIDE * n + 1;

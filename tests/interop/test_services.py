@@ -122,12 +122,16 @@ class Services(unittest.TestCase):
             if len(values) == message.param_count:
                 return values
 
-    def set(self, name, value, kind):
+    def set(self, name, value, kind, wanted=None):
+        """The answer; again for a while if `wanted` is not it, which a busy computer may cause."""
         raw = bytewise(value) if kind == INT else value
-        self.station.link.mav.param_set_send(1, 1, name.encode(), raw, kind)
-        message = self.next("PARAM_VALUE")
-        self.assertEqual(message.param_id, name)
-        return plain(message)
+        end = time.monotonic() + 15.0
+        while True:
+            self.station.link.mav.param_set_send(1, 1, name.encode(), raw, kind)
+            message = self.next("PARAM_VALUE")
+            self.assertEqual(message.param_id, name)
+            if wanted is None or plain(message) == wanted or time.monotonic() > end:
+                return plain(message)
 
     def test_parameters_are_read_set_kept_and_refused(self):
         values = self.read_all()
@@ -137,8 +141,8 @@ class Services(unittest.TestCase):
         self.station.link.mav.param_request_read_send(1, 1, b"SPD_SPEED_MAX", -1)
         self.assertEqual(plain(self.next("PARAM_VALUE")), 4.0)
 
-        self.assertEqual(self.set("SPD_SPEED_MAX", 2.5, REAL), 2.5)
-        self.assertEqual(self.set("PLAN_STOP_RULE", 1, INT), 1)
+        self.assertEqual(self.set("SPD_SPEED_MAX", 2.5, REAL, wanted=2.5), 2.5)
+        self.assertEqual(self.set("PLAN_STOP_RULE", 1, INT, wanted=1), 1)
         self.assertEqual(self.set("VEH_MASS", 3.0, REAL), 3.0)
         self.station.await_(
             lambda: any("next start" in text for text in self.station.texts), "a word", 2.0)
@@ -302,10 +306,14 @@ class Services(unittest.TestCase):
             ftp.process_ftp_reply("OpenFileRO", timeout=20)
             return got[0] if got else None
 
-        self.assertEqual(get("/logs/drive.log"), log)
+        def get_again(path):
+            """The client gives up soon when the computer is busy."""
+            return get(path) or get(path) or get(path)
+
+        self.assertEqual(get_again("/logs/drive.log"), log)
         self.assertIsNone(get("/logs/../secret"))
 
-        general_bytes = get(metadata_uri.removeprefix("mftp://"))
+        general_bytes = get_again(metadata_uri.removeprefix("mftp://"))
         self.assertEqual(crc32(general_bytes), metadata_crc)
         general = json.loads(general_bytes)
         self.assertEqual(set(general), {"version", "metadataTypes"})
@@ -314,7 +322,7 @@ class Services(unittest.TestCase):
         for key, value in entry.items():
             self.assertIsInstance(value, GENERAL_ENTRY[key])
         self.assertEqual(entry["type"], 1)
-        parameter_bytes = get(entry["uri"].removeprefix("mftp://"))
+        parameter_bytes = get_again(entry["uri"].removeprefix("mftp://"))
         self.assertEqual(crc32(parameter_bytes), entry["fileCrc"])
         parameters = json.loads(parameter_bytes)
         self.assertEqual(set(parameters), {"version", "parameters"})

@@ -1,6 +1,7 @@
 //! Whole drives under watch.
 
-use apexd::plan::Policy;
+use apexd::frames::{Point, Pose};
+use apexd::plan::{Policy, Reading};
 use apexd::predict::PredictorKind;
 use apexd::sim::drive::Outcome;
 use apexd::sim::maze::Family;
@@ -35,7 +36,36 @@ fn whole_drives_keep_every_rule_at_every_step() {
             Trial::maze(Family::Solid, seed + 5).predictor(PredictorKind::Inverted).for_s(15.0),
             Trial::maze(Family::Solid, seed + 6).fast(),
             Trial::maze(Family::Solid, seed + 7).latency(0.045).for_s(15.0),
+            Trial::maze(Family::Thin, seed + 8).policy(Policy::Janson).for_s(8.0),
+            Trial::maze(Family::Thin, seed).classic().for_s(8.0),
+            Trial::maze(Family::Branching, seed + 9).policy(Policy::JansonLite).for_s(8.0),
         ]);
     }
     trials.par_iter().for_each(|trial| drop(drive_checked(trial)));
+}
+
+#[test]
+fn of_two_ways_that_are_as_good_one_is_kept() {
+    // A block in the middle between start and goal, the same on either side.
+    let mut trial = Trial::hall(13.0, 9.0, Pose::new(1.25, 4.5, 0.0), Point::new(11.75, 4.5));
+    trial.world.fill_rect(Pose::new(6.5, 4.5, 0.0), 4.0, 4.0);
+    trial = trial.for_s(30.0);
+    let direct = trial.clone();
+    let mut via_frontier = trial.clone();
+    via_frontier.reading = Reading::ViaFrontier;
+    let janson = trial.clone().policy(Policy::Janson);
+    let lite = trial.policy(Policy::JansonLite);
+    let lengths_m = [direct, via_frontier, janson, lite].map(|trial| {
+        let mut rig = trial.rig();
+        let mut watch = Watch::new(&trial);
+        let outcome = rig.drive(|rig| watch.look(rig));
+        watch.look_back(&rig, &trial);
+        watch.findings.assert_none(&trial.label());
+        assert_eq!(outcome, Outcome::Goal, "{}", trial.label());
+        rig.summary(0.0).path_m
+    });
+    println!("{lengths_m:?} m");
+    for length_m in lengths_m {
+        assert!(length_m < 1.1 * lengths_m[0], "{lengths_m:?} m");
+    }
 }

@@ -15,10 +15,12 @@ mod findings;
 mod geometry;
 mod guard_alone;
 mod instants;
+mod late;
 mod mutations;
 mod plans;
 mod prediction;
 mod replay;
+#[allow(dead_code, reason = "the scenarios of the failsafe table use it too")]
 mod trial;
 mod watch;
 

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use apexd::autopilot::CoreParams;
+use apexd::autopilot::{AutopilotParams, CoreParams};
 use apexd::frames::{Point, Pose};
 use apexd::guard::GuardParams;
-use apexd::plan::{Planner, PlannerParams, Planning, Policy};
+use apexd::plan::{Planner, PlannerParams, Planning, Policy, Reading};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
+use apexd::sim::car::CarParams;
 use apexd::sim::faults::{Cut, FaultPlan, FrameFault, Harm};
 use apexd::sim::lidar::LidarParams;
 use apexd::sim::maze::{self, Family};
@@ -28,6 +29,7 @@ pub struct Trial {
     pub start: Pose,
     pub goal: Point,
     pub policy: Policy,
+    pub reading: Reading,
     pub predictor: PredictorKind,
     pub speed_mps: f64,
     pub lidar_hz: f64,
@@ -35,6 +37,9 @@ pub struct Trial {
     pub time_limit_s: Option<f64>,
     pub faults: FaultPlan,
     pub guard: GuardParams,
+    pub car: CarParams,
+    pub layout: Layout,
+    pub control_rate_hz: f64,
     pub seed: u64,
 }
 
@@ -53,6 +58,7 @@ impl Trial {
             start,
             goal,
             policy: Policy::MapPredictive,
+            reading: Reading::Direct,
             predictor: PredictorKind::None,
             speed_mps: 4.0,
             lidar_hz: 20.0,
@@ -60,6 +66,9 @@ impl Trial {
             time_limit_s: None,
             faults: FaultPlan::default(),
             guard: GuardParams::default(),
+            car: CarParams::default(),
+            layout: Layout::Fd,
+            control_rate_hz: 100.0,
             seed: 1,
         }
     }
@@ -93,6 +102,13 @@ impl Trial {
 
     pub fn latency(mut self, seconds: f64) -> Self {
         self.latency_s = seconds;
+        self
+    }
+
+    /// Classic frames: 360 beams 10 times a second, and a guard that puts up with that.
+    pub fn classic(mut self) -> Self {
+        (self.layout, self.lidar_hz) = (Layout::Classic, 10.0);
+        self.guard.scan_age_max_s = 0.4;
         self
     }
 
@@ -138,6 +154,7 @@ impl Trial {
     pub fn planner_params(&self) -> PlannerParams {
         let mut params = PlannerParams::default();
         params.plan.policy = self.policy;
+        params.plan.reading = self.reading;
         params.speed.speed_max_mps = self.speed_mps;
         params
     }
@@ -161,14 +178,35 @@ impl Trial {
         self.rig_with(Box::new(self.planner()))
     }
 
+    /// The car stands at the start and nobody tells it to go anywhere.
+    pub fn idle_rig(&self) -> Rig {
+        self.rig_to(None, Box::new(self.planner()))
+    }
+
     /// The same with another planner.
     pub fn rig_with(&self, planning: Box<dyn Planning>) -> Rig {
+        self.rig_to(Some(self.goal), planning)
+    }
+
+    fn rig_to(&self, goal: Option<Point>, planning: Box<dyn Planning>) -> Rig {
+        let setup = RigSetup { goal, ..self.setup_with(planning) };
+        let mut rig = Rig::new(setup).expect("start and goal are free");
+        rig.keep_reports();
+        rig
+    }
+
+    /// What that is made of.
+    pub fn setup_with(&self, planning: Box<dyn Planning>) -> RigSetup {
         let planner = self.planner_params();
-        let setup = RigSetup {
+        RigSetup {
             world: self.world.clone(),
             start: self.start,
             goal: Some(self.goal),
             core: CoreParams {
+                autopilot: AutopilotParams {
+                    control_rate_hz: self.control_rate_hz,
+                    ..AutopilotParams::default()
+                },
                 speed: planner.speed.clone(),
                 guard: self.guard.clone(),
                 ..CoreParams::default()
@@ -176,19 +214,20 @@ impl Trial {
             planner,
             predict: PredictParams::default(),
             bus: Default::default(),
-            lidar: LidarParams { rate_hz: self.lidar_hz, ..LidarParams::default() },
-            car: Default::default(),
+            lidar: LidarParams {
+                rate_hz: self.lidar_hz,
+                beams: if self.layout == Layout::Classic { 360 } else { 1080 },
+                ..LidarParams::default()
+            },
+            car: self.car.clone(),
             controller: Default::default(),
-            layout: Layout::Fd,
+            layout: self.layout,
             faults: self.faults.clone(),
             seed: self.seed,
             latency: Latency::Fixed(self.latency_s),
             time_limit_s: self.time_limit_s,
             stopwatch: Box::new(|| Duration::ZERO),
             planning: Some(planning),
-        };
-        let mut rig = Rig::new(setup).expect("start and goal are free");
-        rig.keep_reports();
-        rig
+        }
     }
 }

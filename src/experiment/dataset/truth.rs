@@ -183,9 +183,9 @@ mod tests {
 
     #[test]
     fn a_maze_is_the_same_on_the_lattice_at_both_resolutions() {
-        for family in Family::ALL {
-            let fine = generate(*family, 11, 0.1).unwrap().to_map_file();
-            let coarse = generate(*family, 11, 0.25).unwrap().to_map_file();
+        for family in Family::MAZES {
+            let fine = generate(family, 11, 0.1).unwrap().to_map_file();
+            let coarse = generate(family, 11, 0.25).unwrap().to_map_file();
             let fine = truth(&fine, 0.25);
             for iy in 0..coarse.height {
                 for ix in 0..coarse.width {

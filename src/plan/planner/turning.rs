@@ -1,6 +1,7 @@
 //! Turning round: where a plan may stop so that the car can, and doing so where nothing else is
 //! left.
 
+use super::exits::Aim;
 use super::{Branch, Candidate, ClearRoom, Planner, leaves_heading, with_transitions};
 use crate::frames::{Point, Pose};
 use crate::map::{Clearance, DistanceField, Grid};
@@ -145,7 +146,9 @@ impl Planner {
         };
         let mut cost_s = |planner: &mut Self| {
             planner.set_masks(request);
-            planner.guide(request, here, times).map_or(f64::INFINITY, |guide| guide.cost_s)
+            planner
+                .guide(request, here, Aim::Anywhere, times)
+                .map_or(f64::INFINITY, |guide| guide.cost_s)
         };
         let before = self.impasses.clone();
         self.impasses.open();

@@ -19,7 +19,7 @@ pub use manoeuvre::{
 pub use retreat::retreat;
 
 use crate::frames::Point;
-use crate::map::{Cell, CellIndex, CellRect};
+use crate::map::{Cell, CellIndex, CellRect, floor_to_index};
 use crate::{choices, tunables};
 
 choices! {
@@ -103,5 +103,5 @@ pub struct Guide {
 
 /// The cell that holds a point.
 fn cell_at(p: Point, resolution_m: f64) -> CellIndex {
-    CellIndex::new((p.x / resolution_m).floor() as i32, (p.y / resolution_m).floor() as i32)
+    CellIndex::new(floor_to_index(p.x / resolution_m), floor_to_index(p.y / resolution_m))
 }

@@ -14,12 +14,12 @@ use super::seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request};
 use super::statistics::{Frames, Statistics, Summary};
 use super::timing::Timing;
 use super::worker::{Finished, PlanningParams, Worker};
-use crate::autopilot::{Autopilot, Command, Event, Mode};
+use crate::autopilot::{self, Autopilot, BusHealth, Command, Event, HostHealth, Mode};
 use crate::frames::Point;
 use crate::params::Params;
-use crate::shell::can::{BusState, Received};
+use crate::shell::can::{BusState, Received, SendFault};
 use crate::shell::load::LoadMeter;
-use crate::shell::simulator::{core_params, log, planner_params};
+use crate::shell::simulator::log;
 use crate::time::{Duration, Instant};
 use crate::wire::can::CanFrame;
 
@@ -142,6 +142,8 @@ pub struct Control<L, T, W> {
     begun: Instant,
     statistics: Statistics,
     outbox: VecDeque<(Instant, CanFrame)>,
+    /// When the bus is offered again what it has not taken.
+    send_at: Option<Instant>,
     unsent: u64,
     frames_since_tick: u64,
     frames_blind: u32,
@@ -183,6 +185,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             begun: now,
             statistics: Statistics::new(now),
             outbox: VecDeque::with_capacity(256),
+            send_at: None,
             unsent: 0,
             frames_since_tick: 0,
             frames_blind: 0,
@@ -205,11 +208,12 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     /// Runs until the daemon is to end and the car stands.
     pub async fn run(mut self) -> Summary {
+        self.report_host(self.begun);
         let reason = loop {
             // In order of urgency; a branch that is not taken has lost nothing.
             tokio::select! {
                 biased;
-                () = self.timing.until(self.core.poll_at()) => self.tick(),
+                () = self.timing.until(self.wake_at()) => self.wake(),
                 Some(order) = self.outside.orders.recv() => {
                     if self.obey(order) {
                         break Reason::CutOff;
@@ -221,7 +225,6 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
                     Err(error) => self.turn_deaf(error.to_string()),
                 },
                 Some(request) = self.outside.seam.requests.recv() => self.grant(request),
-                () = tokio::time::sleep(SEND_AGAIN), if !self.outbox.is_empty() => self.send(),
             }
             if let Some((reason, Ending::Farewell { since })) = self.ending
                 && self.timing.now().since(since) >= FAREWELL
@@ -250,18 +253,12 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
                 self.scans.pop_front();
             }
         }
-        self.fetch();
+        self.fetch(at);
         // As long as frames come without a pause, nobody looks at the alarm.
         self.frames_blind += 1;
-        let due = self.core.poll_at();
-        if at >= due || (self.frames_blind >= FRAMES_BLIND && self.is_due()) {
-            self.tick();
+        if at >= self.wake_at() || self.frames_blind >= FRAMES_BLIND {
+            self.wake();
         }
-    }
-
-    fn is_due(&mut self) -> bool {
-        self.frames_blind = 0;
-        self.timing.now() >= self.core.poll_at()
     }
 
     /// The link is of no more use for now (the interface has disappeared): it is opened again a
@@ -289,7 +286,23 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     fn report_bus(&mut self, now: Instant) {
         let statistics = self.link.statistics();
-        let _ = (now, statistics.state == BusState::Off);
+        let state = match statistics.state {
+            _ if self.deaf_until.is_some() => autopilot::BusState::Off,
+            BusState::Active => autopilot::BusState::Active,
+            BusState::Passive => autopilot::BusState::Passive,
+            BusState::Off => autopilot::BusState::Off,
+        };
+        let error_frames = statistics.error_frames;
+        let health = BusHealth { state, error_frames, frames_unsent: self.unsent };
+        self.core.handle_bus_health(now, health);
+    }
+
+    fn report_host(&mut self, now: Instant) {
+        let health = HostHealth {
+            disk_full: self.disk_full,
+            predictor_missing: self.worker.is_predictor_missing(),
+        };
+        self.core.handle_host_health(now, health);
     }
 
     fn take_plan(&mut self, finished: Finished) {
@@ -299,7 +312,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             Finished::Report(report) => {
                 self.statistics.plan.note(report.times.total);
                 self.statistics.predict.note(report.times.predict);
-                self.core.handle_job_done(now, report);
+                self.core.handle_job_done(now, *report);
             }
             Finished::Lost { number, reason } => {
                 tracing::error!(number, "planning failed: {reason}");
@@ -307,7 +320,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
                 self.core.handle_job_lost(now, number);
             }
         }
-        self.fetch();
+        self.fetch(now);
     }
 
     /// Does as ordered; says whether that is to end at once.
@@ -319,7 +332,10 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             }
             Order::End => self.begin_end(Reason::Asked, "told to end"),
             Order::Params(params) => self.change_all(&params),
-            Order::DiskFull(full) => self.disk_full = full,
+            Order::DiskFull(full) => {
+                self.disk_full = full;
+                self.report_host(self.timing.now());
+            }
         }
         false
     }
@@ -347,7 +363,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             Request::SetFence { fence, reply } => {
                 let now = self.timing.now();
                 self.core.set_fence(now, fence);
-                self.fetch();
+                self.fetch(now);
                 let _ = reply.send(());
             }
         }
@@ -361,7 +377,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             Err(refusal) => tracing::warn!("{command:?} refused: {refusal}"),
         }
         self.errand.overrule();
-        self.fetch();
+        self.fetch(now);
         answer
     }
 
@@ -386,22 +402,35 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
     }
 
     fn put_params(&mut self) {
-        self.core.set_params(core_params(&self.params));
+        self.core.set_params(self.params.core());
         self.worker.set_params(PlanningParams {
-            planner: planner_params(&self.params),
+            planner: self.params.planner(),
             predict: self.params.predict.clone(),
         });
     }
 
     // ---- time
 
-    fn tick(&mut self) {
-        let due = self.core.poll_at();
-        let now = self.timing.now();
-        if now < due {
-            return;
-        }
+    /// When there is something to do, whatever comes in.
+    fn wake_at(&self) -> Instant {
+        let tick = self.core.poll_at();
+        self.send_at.map_or(tick, |at| at.min(tick))
+    }
+
+    /// Does what is due.
+    fn wake(&mut self) {
         self.frames_blind = 0;
+        let now = self.timing.now();
+        if self.send_at.is_some_and(|at| now >= at) {
+            self.send();
+        }
+        if now >= self.core.poll_at() {
+            self.tick(now);
+        }
+    }
+
+    fn tick(&mut self, now: Instant) {
+        let due = self.core.poll_at();
         self.statistics.tick_jitter.note(now.since(due));
         self.statistics.burst.note_count(std::mem::take(&mut self.frames_since_tick));
         if self.deaf_until.is_some_and(|until| now >= until) {
@@ -409,10 +438,10 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         }
         self.report_bus(now);
         self.core.handle_time(now);
-        let missed = self.core.poll_at().seconds_after(due) / self.period_s();
+        let missed = self.core.poll_at().seconds_after(due) / self.params.autopilot.tick_s();
         self.statistics.ticks += 1;
         self.statistics.ticks_missed += (missed.round() as u64).saturating_sub(1);
-        self.fetch();
+        self.fetch(now);
         let sent = self.timing.now();
         self.note_first_use(sent);
         self.statistics.outbox.note_count(self.outbox.len() as u64);
@@ -420,10 +449,6 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         self.statistics.tick.note(sent.since(now));
         self.outside.pulse.ticks.fetch_add(1, Ordering::Relaxed);
         self.look_after(now);
-    }
-
-    fn period_s(&self) -> f64 {
-        0.01
     }
 
     /// A setpoint of a plan made from a newer scan than before has just been sent.
@@ -459,6 +484,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         }
         if now >= self.next_line {
             self.next_line = now + LINE_PERIOD;
+            self.report_host(now);
             self.write_line(now);
         }
         let patience_s = self.params.daemon.planner_limit_s;
@@ -483,7 +509,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
                 let _ = self.outside.words.send(Word::Status(text));
             }
         }
-        self.fetch();
+        self.fetch(now);
     }
 
     fn write_line(&mut self, now: Instant) {
@@ -522,7 +548,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         // Refused where the car is at rest or coming to rest anyway.
         let _ = self.core.handle_command(now, Command::Pause);
         self.ending = Some((reason, Ending::Plan { since: now, standing_since: None }));
-        self.fetch();
+        self.fetch(now);
     }
 
     fn advance_end(&mut self, now: Instant) {
@@ -547,7 +573,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
                 }
                 // Disarming is never refused.
                 let _ = self.core.handle_command(now, Command::Disarm);
-                self.fetch();
+                self.fetch(now);
             }
             Ending::Brake { since } => {
                 if standing || now.since(*since) > BRAKING {
@@ -561,12 +587,14 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
     // ---- what goes out
 
     /// Takes what the core wants to send, have planned, and have said.
-    fn fetch(&mut self) {
-        let now = self.timing.now();
+    fn fetch(&mut self, now: Instant) {
+        let waiting = self.outbox.len();
         while let Some(frame) = self.core.poll_frame() {
             self.outbox.push_back((now, frame));
         }
-        self.send();
+        if self.outbox.len() > waiting {
+            self.send();
+        }
         if let Some(request) = self.core.poll_job() {
             self.job_since.get_or_insert(now);
             self.worker.submit(request);
@@ -590,12 +618,19 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     /// Gives the bus what it takes, in order; what has waited too long is dropped.
     fn send(&mut self) {
+        self.send_at = None;
         while let Some((since, frame)) = self.outbox.front() {
-            if self.link.try_send(frame).is_err() {
-                if self.timing.now().since(*since) <= FRAME_LIFE {
-                    return;
+            match self.link.try_send(frame) {
+                Ok(()) => {}
+                Err(SendFault::Full) => {
+                    let now = self.timing.now();
+                    if now.since(*since) <= FRAME_LIFE {
+                        self.send_at = Some(now + SEND_AGAIN);
+                        return;
+                    }
+                    self.unsent += 1;
                 }
-                self.unsent += 1;
+                Err(_) => self.unsent += 1,
             }
             self.outbox.pop_front();
         }

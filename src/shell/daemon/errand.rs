@@ -1,16 +1,21 @@
 //! A goal given at the start: arms the car as soon as the checks pass, and sends it there.
 
+use std::mem::Discriminant;
+
 use crate::autopilot::{Autopilot, Command, Refusal};
 use crate::frames::Point;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
+
+/// Between two lines about what is waited for.
+const SAY_AGAIN: Duration = Duration::from_secs(1);
 
 /// How far the errand has come.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug)]
 enum State {
     /// Disarmed, and nobody has asked for anything else.
     Idle { after_crash: bool },
     /// As soon as the checks pass.
-    Waiting { goal: Point, said: Option<Refusal> },
+    Waiting { goal: Point, said: Vec<Discriminant<Refusal>>, said_at: Option<Instant> },
     /// Under way, done, or somebody else has taken over.
     Over,
 }
@@ -25,7 +30,7 @@ pub enum Step {
 }
 
 /// A goal given at the start.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug)]
 pub struct Errand {
     state: State,
     announced: bool,
@@ -36,7 +41,7 @@ impl Errand {
     /// nobody knows what has happened.
     pub fn new(goal: Option<Point>, after_crash: bool) -> Self {
         let state = match goal {
-            Some(goal) if !after_crash => State::Waiting { goal, said: None },
+            Some(goal) if !after_crash => State::Waiting { goal, said: Vec::new(), said_at: None },
             _ => State::Idle { after_crash },
         };
         Self { state, announced: false }
@@ -58,7 +63,7 @@ impl Errand {
 
     /// Does what can be done now.
     pub fn step(&mut self, core: &mut Autopilot, now: Instant) -> Step {
-        let State::Waiting { goal, said } = &mut self.state else {
+        let State::Waiting { goal, said, said_at } = &mut self.state else {
             let announced = std::mem::replace(&mut self.announced, true);
             return match self.why_disarmed().filter(|_| !announced) {
                 Some(why) => Step::Said(why.to_owned()),
@@ -66,20 +71,26 @@ impl Errand {
             };
         };
         let goal = *goal;
+        let reasons = core.pre_arm(now);
+        if !reasons.is_empty() {
+            // Figures in them may change all the time.
+            let kinds: Vec<_> = reasons.iter().map(std::mem::discriminant).collect();
+            // And they may come and go.
+            if *said == kinds || said_at.is_some_and(|at| now.since(at) < SAY_AGAIN) {
+                return Step::Nothing;
+            }
+            *said = kinds;
+            *said_at = Some(now);
+            let names: Vec<_> = reasons.iter().map(ToString::to_string).collect();
+            return Step::Said(format!("waiting to arm: {}", names.join("; ")));
+        }
         let started = core
             .handle_command(now, Command::Arm)
             .and_then(|()| core.handle_command(now, Command::Goto(goal)));
-        match started {
-            Ok(()) => {
-                self.state = State::Over;
-                Step::Said(format!("armed; driving to ({:.2}, {:.2}) m", goal.x, goal.y))
-            }
-            Err(refusal) if said.as_ref() == Some(&refusal) => Step::Nothing,
-            Err(refusal) => {
-                let text = format!("waiting to arm: {refusal}");
-                *said = Some(refusal);
-                Step::Said(text)
-            }
-        }
+        self.state = State::Over;
+        Step::Said(match started {
+            Ok(()) => format!("armed; driving to ({:.2}, {:.2}) m", goal.x, goal.y),
+            Err(refusal) => format!("not driving: {refusal}"),
+        })
     }
 }

@@ -33,11 +33,6 @@ impl Durations {
         self.0.saturating_record(count);
     }
 
-    /// How many there were.
-    pub fn count(&self) -> u64 {
-        self.0.len()
-    }
-
     /// Forgets all.
     pub fn clear(&mut self) {
         self.0.reset();
@@ -79,7 +74,6 @@ mod tests {
     fn what_is_longer_than_the_longest_counts_as_that() {
         let mut durations = Durations::default();
         durations.note(Duration::from_secs(1_000_000));
-        assert_eq!(durations.count(), 1);
         assert!(durations.spread_ms().max >= 60_000.0 && durations.spread_ms().max < 66_000.0);
     }
 }

@@ -115,7 +115,7 @@ pub fn disk_free_min(params: &Params) -> u64 {
 fn is_full(directory: &Path, free_min: u64) -> bool {
     match nix::sys::statvfs::statvfs(directory) {
         Ok(disk) => {
-            let available = disk.blocks_available() as u64 * disk.fragment_size() as u64;
+            let available = disk.blocks_available() * disk.fragment_size();
             // A disk without any room is full whatever the limit.
             available < free_min.max(1)
         }

@@ -34,11 +34,10 @@ use super::can::CanLinkError;
 use super::cli::RunArgs;
 use super::clock::Clock;
 use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
-use super::simulator::{core_params, planner_params};
-use super::{Exit, complain, configuration, say};
+use super::{Exit, complain, configuration, configured, say};
 use crate::autopilot::Autopilot;
 use crate::frames::Pose;
-use crate::params::{Origin, Params};
+use crate::params::Params;
 use crate::plan::Policy;
 use control::{Control, Order, Outside, Pulse, Task, Word};
 use keeper::Keeper;
@@ -69,21 +68,15 @@ pub fn run(
     out: &mut dyn Write,
 ) -> Exit {
     let log = Log::new(verbose);
+    let file = args.config.as_deref();
+    let params = match configured(file, environment, &args.set, &args.flags()) {
+        Ok(params) => params,
+        Err(exit) => return exit,
+    };
     let layers = (args.config.clone(), environment.to_vec(), args.set.clone(), args.flags());
     let load = move || {
         let (file, environment, set, flags) = &layers;
         configuration::load(file.as_deref(), environment, set, flags)
-    };
-    let params = match load() {
-        Ok(params) => params,
-        Err(faults) if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) => {
-            complain(&faults.to_string());
-            return Exit::Usage;
-        }
-        Err(faults) => {
-            complain(&format!("bad configuration\n{faults}"));
-            return Exit::Configuration;
-        }
     };
     if params.plan.policy == Policy::KnownMap {
         complain("plan.policy known-map needs the true map, which only a simulated world gives");
@@ -92,8 +85,7 @@ pub fn run(
     if params.daemon.lock_memory {
         realtime::lock_memory();
     }
-    let planning =
-        PlanningParams { planner: planner_params(&params), predict: params.predict.clone() };
+    let planning = PlanningParams { planner: params.planner(), predict: params.predict.clone() };
     let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
         Ok(worker) => worker,
         Err(error) => {
@@ -154,7 +146,7 @@ pub fn run(
         config: args.config.clone(),
         state_directory,
         disk_free_min: keeper::disk_free_min(&params),
-        tick_rate_hz: tick_rate_hz(&params),
+        tick_rate_hz: params.autopilot.control_rate_hz,
     };
     let control = std::thread::Builder::new()
         .name("apexd-control".into())
@@ -207,7 +199,8 @@ fn control_thread(
     words: std::sync::mpsc::Sender<Word>,
 ) -> Result<Summary, StartError> {
     let clock = Clock::start();
-    let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
+    // Without timers of the runtime: it would ask for the time at every turn.
+    let runtime = runtime::Builder::new_current_thread().enable_io().build()?;
     runtime.block_on(async {
         let layout = params.can.layout;
         let link = SocketLink::open(&params.can, clock)?;
@@ -229,7 +222,7 @@ fn control_thread(
             }
         });
         realtime::raise_priority(params.daemon.priority);
-        let core = Autopilot::new(core_params(&params), layout, start, clock.now());
+        let core = Autopilot::new(params.core(), layout, start, clock.now());
         Ok(Control::new(core, params, link, timing, worker, outside, task).run().await)
     })
 }
@@ -268,10 +261,6 @@ fn end_well(marker: Option<Marker>) {
     if let Some(Err(error)) = marker.map(Marker::remove) {
         tracing::warn!("cannot take the mark away: {error}");
     }
-}
-
-fn tick_rate_hz(_params: &Params) -> f64 {
-    100.0
 }
 
 #[cfg(test)]

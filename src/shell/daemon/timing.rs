@@ -8,7 +8,10 @@ use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 
 use crate::shell::clock::Clock;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
+
+/// So often are the clocks compared; the closest pair of readings counts.
+const READINGS: u32 = 8;
 
 /// Tells the time and waits for a moment.
 pub trait Timing {
@@ -23,6 +26,8 @@ pub trait Timing {
 /// know whole milliseconds only.
 pub struct MonotonicTiming {
     clock: Clock,
+    /// What the system's clock showed at the zero of ours.
+    zero: Duration,
     timer: AsyncFd<Timer>,
     armed: Option<Instant>,
 }
@@ -32,17 +37,28 @@ impl MonotonicTiming {
     pub fn new(clock: Clock) -> std::io::Result<Self> {
         let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
         let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags)?;
-        Ok(Self { clock, timer: watched(timer)?, armed: None })
+        let zero = zero_of(&clock)?;
+        Ok(Self { clock, zero, timer: watched(timer)?, armed: None })
     }
 
     /// Sets the alarm to a moment as the system counts it, so that delays on the way here do not
     /// add up.
     fn arm(&self, at: Instant) -> nix::Result<()> {
-        let system = nix::time::clock_gettime(nix::time::ClockId::CLOCK_MONOTONIC)?;
-        let due = std::time::Duration::from(system) + at.since(self.clock.now());
-        let due = Expiration::OneShot(TimeSpec::from_duration(due));
+        let due = Expiration::OneShot(TimeSpec::from_duration(self.zero + at.since(Instant::ZERO)));
         self.timer.get_ref().0.set(due, TimerSetTimeFlags::TFD_TIMER_ABSTIME)
     }
+}
+
+/// What the system's monotonic clock showed when `clock` showed zero; never earlier, so that no
+/// alarm rings too early.
+fn zero_of(clock: &Clock) -> nix::Result<Duration> {
+    let mut least = Duration::MAX;
+    for _ in 0..READINGS {
+        let ours = clock.now();
+        let system = nix::time::clock_gettime(nix::time::ClockId::CLOCK_MONOTONIC)?;
+        least = least.min(Duration::from(system).saturating_sub(ours.since(Instant::ZERO)));
+    }
+    Ok(least)
 }
 
 impl Timing for MonotonicTiming {
@@ -97,7 +113,6 @@ impl AsRawFd for Timer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::time::Duration;
 
     #[test]
     fn it_rings_at_the_moment_also_if_asked_again_in_between() {

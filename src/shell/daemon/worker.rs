@@ -1,6 +1,7 @@
 //! Planning, beside the control thread.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::mpsc;
@@ -16,7 +17,7 @@ const ANSWERS_MAX: usize = 8;
 #[derive(Debug)]
 pub enum Finished {
     /// It is done.
-    Report(StepReport),
+    Report(Box<StepReport>),
     /// It never will be.
     Lost {
         /// Number of its request.
@@ -45,6 +46,9 @@ pub trait Worker {
 
     /// The next answer; never, if there is none to come. Dropping the future loses nothing.
     async fn finished(&mut self) -> Finished;
+
+    /// Whether a predictor was asked for and cannot be had.
+    fn is_predictor_missing(&self) -> bool;
 }
 
 /// A planner on a thread of its own. A step that panics is reported and a new planner made; one
@@ -58,6 +62,7 @@ pub struct ThreadWorker {
 struct Shared {
     orders: Mutex<Orders>,
     news: Condvar,
+    predictor_missing: AtomicBool,
 }
 
 impl Shared {
@@ -74,15 +79,25 @@ struct Orders {
     end: bool,
 }
 
+/// A planner that has been made.
+pub struct Made {
+    /// The planner.
+    pub planner: Box<dyn Planning>,
+    /// A predictor was asked for and cannot be had.
+    pub predictor_missing: bool,
+}
+
 /// Makes a planner; called on the worker's own thread.
-pub type Build = Box<dyn Fn(&PlanningParams) -> Result<Box<dyn Planning>, PredictError> + Send>;
+pub type Build = Box<dyn Fn(&PlanningParams) -> Result<Made, PredictError> + Send>;
 
 /// Makes the planner that ships.
-pub fn build(params: &PlanningParams) -> Result<Box<dyn Planning>, PredictError> {
+pub fn build(params: &PlanningParams) -> Result<Made, PredictError> {
     let predictor = predict::build(&params.predict, None, 0)?;
+    let predictor_missing = predictor.fault().is_some();
     let begin = pace::now();
     let stopwatch = Box::new(move || begin.elapsed());
-    Ok(Box::new(Planner::new(params.planner.clone(), predictor, stopwatch)))
+    let planner = Box::new(Planner::new(params.planner.clone(), predictor, stopwatch));
+    Ok(Made { planner, predictor_missing })
 }
 
 /// Why there is no worker.
@@ -109,13 +124,14 @@ impl ThreadWorker {
         std::thread::Builder::new()
             .name("apexd-plan".into())
             .spawn(move || {
-                let planner = match build(&params) {
-                    Ok(planner) => planner,
+                let Made { planner, predictor_missing } = match build(&params) {
+                    Ok(done) => done,
                     Err(error) => {
                         let _ = made.send(Err(error));
                         return;
                     }
                 };
+                theirs.predictor_missing.store(predictor_missing, Ordering::Relaxed);
                 let _ = made.send(Ok(()));
                 Desk { params, build, planner, shared: theirs, answer }.work();
             })
@@ -154,6 +170,10 @@ impl Worker for ThreadWorker {
             None => std::future::pending().await,
         }
     }
+
+    fn is_predictor_missing(&self) -> bool {
+        self.shared.predictor_missing.load(Ordering::Relaxed)
+    }
 }
 
 /// The worker's own side.
@@ -185,7 +205,7 @@ impl Desk {
             let number = request.number;
             let step = catch_unwind(AssertUnwindSafe(|| self.planner.step(&request)));
             let finished = match step {
-                Ok(report) => Finished::Report(report),
+                Ok(report) => Finished::Report(Box::new(report)),
                 Err(panic) => {
                     self.renew();
                     Finished::Lost { number, reason: panic_text(&*panic) }
@@ -211,7 +231,10 @@ impl Desk {
     /// A new planner; it learns the whole map from the next request.
     fn renew(&mut self) {
         match (self.build)(&self.params) {
-            Ok(planner) => self.planner = planner,
+            Ok(Made { planner, predictor_missing }) => {
+                self.planner = planner;
+                self.shared.predictor_missing.store(predictor_missing, Ordering::Relaxed);
+            }
             Err(error) => tracing::error!("keeping the old planner: {error}"),
         }
     }
@@ -222,4 +245,141 @@ pub fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
     text.or_else(|| panic.downcast_ref::<String>().cloned())
         .unwrap_or_else(|| "a panic without words".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frames::{Point, Pose};
+    use crate::map::{CellRect, Grid};
+    use crate::plan::{Goal, Plan, Rejection, Verdict};
+    use crate::time::{Duration, Instant};
+
+    /// Panics at request 2, never comes back from request 4.
+    struct Moody(f64);
+
+    impl Planning for Moody {
+        fn step(&mut self, request: &PlanRequest) -> StepReport {
+            match request.number {
+                2 => panic!("number two"),
+                4 => loop {
+                    std::thread::park();
+                },
+                number => StepReport {
+                    number,
+                    base: request.changed.x1 as u32,
+                    takes_over: request.takes_over,
+                    verdict: Verdict::Rejected(Rejection::Speed(self.0.to_string())),
+                    candidates: 0,
+                    times: Default::default(),
+                    prediction: Default::default(),
+                },
+            }
+        }
+
+        fn set_params(&mut self, params: &PlannerParams) {
+            self.0 = params.speed.speed_max_mps;
+        }
+    }
+
+    fn request(number: u32) -> PlanRequest {
+        let pose = Pose::new(0.0, 0.0, 0.0);
+        PlanRequest {
+            number,
+            grid: Arc::new(Grid::new(0.1)),
+            changed: CellRect { x0: 0, y0: 0, x1: number as i32, y1: 1 },
+            scan_stamp: Instant::ZERO,
+            scan_pose: pose,
+            committed: Arc::new(Plan::standing(Instant::ZERO, pose)),
+            takes_over: Instant::ZERO,
+            goal: Goal { position: Point::new(1.0, 0.0), radius_m: 0.5 },
+            speed_cap_mps: f64::INFINITY,
+            through_known: false,
+            fence: Default::default(),
+        }
+    }
+
+    fn params() -> PlanningParams {
+        PlanningParams { planner: PlannerParams::default(), predict: PredictParams::default() }
+    }
+
+    fn moody() -> ThreadWorker {
+        let build = |params: &PlanningParams| {
+            let speed_max_mps = params.planner.speed.speed_max_mps;
+            Ok(Made { planner: Box::new(Moody(speed_max_mps)), predictor_missing: false })
+        };
+        ThreadWorker::start(params(), Box::new(build)).unwrap()
+    }
+
+    fn told(finished: &Finished) -> (u32, String) {
+        match finished {
+            Finished::Report(report) => match &report.verdict {
+                Verdict::Rejected(Rejection::Speed(text)) => (report.number, text.clone()),
+                other => panic!("{other:?}"),
+            },
+            Finished::Lost { number, reason } => (*number, reason.clone()),
+        }
+    }
+
+    #[tokio::test]
+    async fn a_step_that_panics_is_reported_and_the_next_one_done() {
+        let mut worker = moody();
+        for (number, text) in [(1, "4"), (2, "number two"), (3, "4")] {
+            worker.submit(request(number));
+            assert_eq!(told(&worker.finished().await), (number, text.to_owned()));
+        }
+    }
+
+    #[tokio::test]
+    async fn new_values_are_in_force_from_the_next_step_on() {
+        let mut worker = moody();
+        let mut slower = params();
+        slower.planner.speed.speed_max_mps = 1.5;
+        worker.set_params(slower.clone());
+        worker.submit(request(1));
+        assert_eq!(told(&worker.finished().await), (1, "1.5".to_owned()));
+        slower.planner.speed.speed_max_mps = 2.5;
+        slower.predict.range_m = 3.0;
+        worker.set_params(slower);
+        worker.submit(request(3));
+        assert_eq!(told(&worker.finished().await), (3, "2.5".to_owned()), "a new predictor");
+    }
+
+    #[tokio::test]
+    async fn a_step_that_never_ends_holds_up_nobody_and_later_ones_give_way_to_the_newest() {
+        let mut worker = moody();
+        worker.submit(request(4));
+        // Until it has been begun.
+        while worker.shared.orders().request.is_some() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        worker.submit(request(9));
+        worker.submit(request(7));
+        let wait = Duration::from_millis(50);
+        assert!(tokio::time::timeout(wait, worker.finished()).await.is_err());
+        let waiting = worker.shared.orders().request.take().unwrap();
+        assert_eq!((waiting.number, waiting.changed.x1), (7, 9), "no change is forgotten");
+        drop(worker);
+    }
+
+    #[test]
+    fn a_planner_that_cannot_be_made_is_said_at_the_start() {
+        let fails = |_: &PlanningParams| {
+            Err(PredictError::NoTruth { kind: crate::predict::PredictorKind::Oracle })
+        };
+        let error = ThreadWorker::start(params(), Box::new(fails)).err().unwrap();
+        assert!(error.to_string().contains("needs the true map"), "{error}");
+        let panics = |_: &PlanningParams| panic!("no");
+        let error = ThreadWorker::start(params(), Box::new(panics)).err().unwrap();
+        assert!(matches!(error, WorkerError::Panicked));
+    }
+
+    #[test]
+    fn a_network_that_is_missing_is_known_from_the_start() {
+        let mut wanted = params();
+        wanted.predict.model = "/nowhere/net.onnx".into();
+        assert!(build(&wanted).unwrap().predictor_missing);
+        wanted.predict.kind = crate::predict::PredictorKind::None;
+        assert!(!build(&wanted).unwrap().predictor_missing);
+    }
 }

@@ -3,8 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use tokio::sync::mpsc::error::TryRecvError;
-
 use super::{End, Joined, LinkUrl, Mavlink, MavlinkError, services};
 use crate::autopilot::Event;
 use crate::frames::Pose;
@@ -12,7 +10,6 @@ use crate::params::Params;
 use crate::shell::configuration;
 use crate::shell::daemon::{CoreSnapshot, InnerSeam, Request, Seam, apply_change};
 use crate::shell::load::LoadMeter;
-use crate::shell::simulator::{core_params, planner_params};
 use crate::sim::rig::Rig;
 use crate::time::{Duration, Instant};
 
@@ -70,11 +67,8 @@ impl Attended {
 
     /// Lets ground stations see the drive and command it.
     pub fn attend(&mut self, rig: &mut Rig) {
-        loop {
-            match self.seam.requests.try_recv() {
-                Ok(request) => self.grant(rig, request),
-                Err(TryRecvError::Empty | TryRecvError::Disconnected) => break,
-            }
+        while let Ok(request) = self.seam.requests.try_recv() {
+            self.grant(rig, request);
         }
         if self.end.load(Ordering::Relaxed) {
             rig.interrupt();
@@ -106,7 +100,7 @@ impl Attended {
                 let answer = apply_change(params, &key, &value, at_rest);
                 if answer == Ok(true) {
                     tracing::info!("{key} = {value}");
-                    rig.set_params(core_params(params), &planner_params(params));
+                    rig.set_params(params.core(), &params.planner());
                 }
                 let _ = reply.send(answer.map(drop));
             }

@@ -260,7 +260,7 @@ fn a_link_that_cannot_be_opened_is_named() {
         ender: Box::new(|_| Ok(())),
     };
     let url = LinkUrl::UdpServer { host: "127.0.0.1".into(), port };
-    let error = Mavlink::start(&MavlinkParams::default(), &[url.clone()], None, joined);
+    let error = Mavlink::start(&MavlinkParams::default(), std::slice::from_ref(&url), None, joined);
     let said = error.err().unwrap().to_string();
     assert!(said.contains(&url.to_string()), "{said}");
 }

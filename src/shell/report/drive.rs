@@ -47,7 +47,7 @@ pub fn picture(record: &DriveRecord) -> Result<String, ReportError> {
     };
     cell_layer(&mut svg, &frame, shown, map)?;
     svg.clipped("plot", frame.corner, frame.size, |svg| {
-        truth_layer(svg, &frame, record);
+        truth_layer(svg, &frame, &record.truth);
         path_layer(svg, &frame, record);
         plan_layer(svg, &frame, record);
         mark_layer(svg, &frame, record, scale);
@@ -125,8 +125,8 @@ pub(super) fn cell_layer(
 }
 
 /// The walls that there really are.
-pub(super) fn truth_layer(svg: &mut Svg, frame: &Frame, record: &DriveRecord) {
-    let lines = record.truth.iter().map(|line| line.map(|p| frame.place(p.x, p.y)));
+pub(super) fn truth_layer(svg: &mut Svg, frame: &Frame, truth: &[[Point; 2]]) {
+    let lines = truth.iter().map(|line| line.map(|p| frame.place(p.x, p.y)));
     let style = format!(
         "fill=\"none\" stroke=\"{TRUE_WALL}\" stroke-width=\"1.1\" stroke-opacity=\"0.75\""
     );

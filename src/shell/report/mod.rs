@@ -8,6 +8,7 @@ mod axes;
 mod colour;
 mod drive;
 mod evaluation;
+pub mod experiment;
 mod outline;
 mod prediction;
 mod raster;
@@ -50,6 +51,46 @@ pub struct DriveRecord {
     pub speed_limit_mps: f64,
     /// The largest force that the tyres transmit, newtons.
     pub force_limit_n: f64,
+}
+
+/// What a picture of one moment shows besides that moment.
+#[derive(Clone, Copy, Debug)]
+pub struct Scenery<'a> {
+    /// What was driven, for the second line of the title.
+    pub title: &'a str,
+    /// Where solid and free touch in the true world, map frame.
+    pub truth: &'a [[Point; 2]],
+    /// Where the drive is to end, map frame.
+    pub goal: Point,
+    /// How far from the goal counts as reached, metres.
+    pub goal_radius_m: f64,
+}
+
+impl DriveRecord {
+    fn scenery(&self) -> Scenery<'_> {
+        Scenery {
+            title: &self.title,
+            truth: &self.truth,
+            goal: self.goal,
+            goal_radius_m: self.goal_radius_m,
+        }
+    }
+}
+
+/// Writes what was foreseen at one moment as `NAME.svg` and `NAME.png` into a folder that exists.
+pub fn write_snapshot(
+    folder: &Path,
+    name: &str,
+    scenery: &Scenery<'_>,
+    snapshot: &Snapshot,
+) -> Result<(), ReportError> {
+    let svg = prediction::picture(scenery, snapshot)?;
+    put(&folder.join(format!("{name}.svg")), svg.as_bytes())?;
+    put(&folder.join(format!("{name}.png")), &raster::png("prediction", &svg)?)
+}
+
+fn put(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+    std::fs::write(path, bytes).map_err(|error| ReportError::Write { path: path.to_owned(), error })
 }
 
 /// Why a report could not be written.
@@ -100,7 +141,7 @@ pub fn write(folder: &Path, record: &DriveRecord) -> Result<Vec<PathBuf>, Report
     };
     let mut pictures = vec![("drive", drive::picture(record)?), ("speed", speed::picture(record))];
     if let Some(snapshot) = &record.snapshot {
-        pictures.push(("prediction", prediction::picture(record, snapshot)?));
+        pictures.push(("prediction", prediction::picture(&record.scenery(), snapshot)?));
     }
     for (name, svg) in pictures {
         put(&format!("{name}.svg"), svg.as_bytes())?;

@@ -6,7 +6,7 @@ use super::colour::{FREE, INK, OCCUPIED, Rgb, SOFT_INK};
 use super::drive::{GOAL, TRUE_WALL, cell_layer, goal_cross, start_arrow, truth_layer};
 use super::outline::outline;
 use super::svg::{Anchor, Svg};
-use super::{DriveRecord, ReportError};
+use super::{ReportError, Scenery};
 use crate::frames::Point;
 use crate::map::{Cell, CellIndex};
 use crate::sim::rig::Snapshot;
@@ -22,7 +22,7 @@ const MARGIN_TOP: f64 = 84.0;
 const MARGIN_BOTTOM: f64 = 100.0;
 
 /// The picture as an SVG document.
-pub fn picture(record: &DriveRecord, snapshot: &Snapshot) -> Result<String, ReportError> {
+pub fn picture(scenery: &Scenery<'_>, snapshot: &Snapshot) -> Result<String, ReportError> {
     let window = snapshot.window;
     let resolution = snapshot.grid.resolution_m();
     let metres = |cells: i32| f64::from(cells) * resolution;
@@ -36,11 +36,11 @@ pub fn picture(record: &DriveRecord, snapshot: &Snapshot) -> Result<String, Repo
         shade(snapshot.occupied[row + (c.ix - window.x0) as usize])
     })?;
     svg.clipped("plot", frame.corner, frame.size, |svg| {
-        truth_layer(svg, &frame, record);
+        truth_layer(svg, &frame, scenery.truth);
         seen_layer(svg, &frame, snapshot);
         path_layer(svg, &frame, snapshot);
-        let goal = frame.place(record.goal.x, record.goal.y);
-        let radius = record.goal_radius_m * PLOT / (x[1] - x[0]);
+        let goal = frame.place(scenery.goal.x, scenery.goal.y);
+        let radius = scenery.goal_radius_m * PLOT / (x[1] - x[0]);
         svg.circle(goal, radius, &format!("fill=\"none\" stroke=\"{GOAL}\" stroke-width=\"2\""));
         goal_cross(svg, goal);
         let car = snapshot.pose.position;
@@ -52,8 +52,8 @@ pub fn picture(record: &DriveRecord, snapshot: &Snapshot) -> Result<String, Repo
     let middle = 0.5 * page_width;
     let head = format!("Foreseen at {:.1} s", snapshot.t_s);
     svg.text([middle, 34.0], 24.0, Anchor::Middle, INK, &head);
-    svg.text([middle, 62.0], 15.0, Anchor::Middle, SOFT_INK, &record.title);
-    legend(&mut svg, page_width, frame.bottom() + 76.0, !record.truth.is_empty());
+    svg.text([middle, 62.0], 15.0, Anchor::Middle, SOFT_INK, scenery.title);
+    legend(&mut svg, page_width, frame.bottom() + 76.0, !scenery.truth.is_empty());
     Ok(svg.finish())
 }
 

@@ -5,14 +5,12 @@
 //! Planning runs in line; its answer is handed back after the latency asked for, so that age of
 //! information is not fiction.
 
-mod car_end;
 mod process;
 mod setup;
 mod snapshot;
 
 use std::collections::VecDeque;
 
-use car_end::CarEnd;
 use process::Process;
 pub use setup::{Latency, RigSetup, SetupError, grid_of};
 use snapshot::Album;
@@ -24,6 +22,7 @@ use crate::plan::{PlanRequest, PlannerParams, Planning, StepReport};
 use crate::sim::account::Account;
 use crate::sim::bus::NodeId;
 use crate::sim::car::CarState;
+use crate::sim::car_end::CarEnd;
 use crate::sim::drive::{Outcome, PlanMark, Spread, Summary, Trace, TraceSample};
 use crate::sim::faults::FaultyBus;
 use crate::sim::judge::Judge;
@@ -48,6 +47,7 @@ pub struct Rig {
     judge: Judge,
     bus: FaultyBus,
     daemon_node: NodeId,
+    car_node: NodeId,
     core: Autopilot,
     planner: Box<dyn Planning>,
     car: CarEnd,
@@ -174,6 +174,11 @@ impl Rig {
         self.album.as_ref()?.chosen(self.driven_s())
     }
 
+    /// What the planner foresaw at moments spread over the drive so far, in order.
+    pub fn snapshots(&self) -> &[Snapshot] {
+        self.album.as_ref().map_or(&[], Album::kept)
+    }
+
     /// Seconds since the first motion.
     fn driven_s(&self) -> f64 {
         self.started.map_or(0.0, |at| self.now.seconds_after(at))
@@ -222,7 +227,7 @@ impl Rig {
         self.moved_m += (self.car.state().pose.position - before).norm();
         while let Some(frame) = self.car.poll_frame() {
             // A full queue loses the frame, as a real controller's would.
-            let _ = self.bus.send(end, self.car.node(), frame);
+            let _ = self.bus.send(end, self.car_node, frame);
         }
         let verdict =
             self.judge.observe(&self.world, &self.account, self.car.state().pose.position);
@@ -286,7 +291,7 @@ impl Rig {
             let Some(next) = next else { break };
             self.now = self.now.max(next);
             self.bus.advance(self.now);
-            while let Some((at, frame)) = self.bus.receive(self.car.node()) {
+            while let Some((at, frame)) = self.bus.receive(self.car_node) {
                 self.car.handle_frame(at, &frame);
             }
             if self.process.is_stopped(self.now) {
@@ -330,7 +335,8 @@ impl Rig {
             if let Some(reports) = &mut self.reports {
                 reports.push((request, report.clone()));
             }
-            self.job = (!self.process.planner_hangs).then_some((done, report));
+            let never = Instant::from_nanos(u64::MAX);
+            self.job = Some((if self.process.planner_hangs { never } else { done }, report));
         }
         while let Some(event) = self.core.poll_event() {
             if let Event::PlanAdopted { stop, length_m, .. } = event {

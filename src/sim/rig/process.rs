@@ -1,8 +1,9 @@
-//! The computer that the core runs on, as far as it can fail: a process that is stopped and goes
-//! on, one that comes too late, a planner that never answers.
+//! What can fail on either side of the bus: on the core's computer a process that is stopped and
+//! goes on, one that comes too late, a planner that never answers; on the car its controller, its
+//! clock, its battery. What happens on the bus itself is in `sim::faults`.
 
 use super::Rig;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 
 /// Frames that waited in a socket carry the time of their arrival, but no more than this long ago:
 /// what `shell::can` makes of the kernel's stamps.
@@ -53,11 +54,36 @@ impl Rig {
         self.process.tick_delay_s = seconds;
     }
 
-    /// From now on planning steps never come back, or do again.
+    /// From now on planning steps do not come back; what has waited comes when that is over.
     pub fn hang_planner(&mut self, hangs: bool) {
         self.process.planner_hangs = hangs;
-        if hangs {
-            self.job = None;
+        if let Some((at, _)) = self.job.as_mut().filter(|_| !hangs) {
+            *at = self.now;
         }
+    }
+
+    /// Sets the car's battery, volts.
+    pub fn set_battery_v(&mut self, battery_v: f64) {
+        self.car.set_battery_v(battery_v);
+    }
+
+    /// From now on scans leave the car this long after they were measured.
+    pub fn set_scan_delay(&mut self, delay: Duration) {
+        self.car.set_scan_delay(delay);
+    }
+
+    /// Restarts the car's controller: clock and totals begin anew, tail and setpoint are forgotten.
+    pub fn restart_controller(&mut self) {
+        self.car.restart(self.now);
+    }
+
+    /// Sets the clock of the car's controller ahead (or back) by so many seconds.
+    pub fn shift_car_clock(&mut self, seconds: f64) {
+        self.car.shift_clock(seconds);
+    }
+
+    /// Lets the car's controller claim another version of the CAN interface.
+    pub fn set_interface_version(&mut self, version: u8) {
+        self.car.set_interface_version(version);
     }
 }

@@ -3,7 +3,6 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::car_end::{CarEnd, CarEndParts};
 use super::process::Process;
 use super::{DIGEST, Rig};
 use crate::autopilot::{Autopilot, CoreParams};
@@ -14,15 +13,17 @@ use crate::plan::{Planner, PlannerParams, Planning, Policy, Stopwatch};
 use crate::predict::{self, PredictError, PredictParams, PredictorKind};
 use crate::sim::account::Account;
 use crate::sim::bus::BusParams;
-use crate::sim::car::{Car, CarParams};
-use crate::sim::controller::{Controller, ControllerParams};
+use crate::sim::car::CarParams;
+use crate::sim::car_end::{CarEnd, CarEndSetup};
+use crate::sim::controller::ControllerParams;
 use crate::sim::drive::Trace;
 use crate::sim::faults::{FaultPlan, FaultyBus};
 use crate::sim::judge::Judge;
-use crate::sim::lidar::{Lidar, LidarParams};
+use crate::sim::lidar::LidarParams;
+use crate::sim::place::{PlaceError, check_place};
 use crate::sim::world::World;
 use crate::time::Instant;
-use crate::wire::can::{CarDecoder, CarEncoder, Layout};
+use crate::wire::can::Layout;
 
 /// Time from a planning request to its answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,45 +76,9 @@ pub struct RigSetup {
 /// Why a drive cannot begin.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SetupError {
-    /// The car does not fit where it is to start.
-    #[error(
-        "the start ({x_m:.2}, {y_m:.2}) m is {distance_m:.2} m from the nearest wall (space that a map file calls unknown counts as one), but a car of radius {radius_m} m needs at least that much"
-    )]
-    StartBlocked {
-        /// Metres.
-        x_m: f64,
-        /// Metres.
-        y_m: f64,
-        /// Distance to the nearest wall, metres.
-        distance_m: f64,
-        /// The car's radius, metres.
-        radius_m: f64,
-    },
-    /// The goal is inside a wall.
-    #[error(
-        "the goal ({x_m:.2}, {y_m:.2}) m is inside a wall (space that a map file calls unknown counts as one); it must be in the open"
-    )]
-    GoalBlocked {
-        /// Metres.
-        x_m: f64,
-        /// Metres.
-        y_m: f64,
-    },
-    /// Start or goal are not on the map.
-    #[error(
-        "the {which} ({:.2}, {:.2}) m is outside the map, which reaches from ({:.2}, {:.2}) to ({:.2}, {:.2}) m",
-        at[0], at[1], low[0], low[1], high[0], high[1]
-    )]
-    OutsideMap {
-        /// `start` or `goal`.
-        which: &'static str,
-        /// Where it is, metres.
-        at: [f64; 2],
-        /// Lower left corner of the map, metres.
-        low: [f64; 2],
-        /// Its upper right corner, metres.
-        high: [f64; 2],
-    },
+    /// Start or goal are where they cannot be.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
     /// The true map does not fit the memory on the planner's grid.
     #[error(
         "the world has {cells:.0} cells of {resolution_m} m, but a true map given to the planner may have at most {allowed}"
@@ -140,18 +105,7 @@ const TRUTH_CELLS_MAX: u64 = PIXELS_MAX;
 impl RigSetup {
     pub(super) fn build(mut self) -> Result<Rig, SetupError> {
         let radius_m = self.core.vehicle.radius_m;
-        self.check_inside("start", self.start.position)?;
-        if let Some(goal) = self.goal {
-            self.check_inside("goal", goal)?;
-        }
-        let distance_m = self.world.distance_m(self.start.position, 2.0 * radius_m);
-        let Point { coords: at } = self.start.position;
-        if distance_m < radius_m {
-            return Err(SetupError::StartBlocked { x_m: at.x, y_m: at.y, distance_m, radius_m });
-        }
-        if let Some(goal) = self.goal.filter(|goal| self.world.is_solid(*goal)) {
-            return Err(SetupError::GoalBlocked { x_m: goal.x, y_m: goal.y });
-        }
+        check_place(&self.world, self.start, self.goal, radius_m)?;
         if let Latency::Fixed(seconds) = self.latency {
             self.core.autopilot.plan_budget_s = seconds.max(1e-3);
             // The wall clock would decide what is driven.
@@ -184,24 +138,21 @@ impl RigSetup {
         let mut bus = FaultyBus::new(&self.bus, self.faults);
         let daemon_node = bus.join();
         let car_node = bus.join();
-        let vehicle = &self.core.vehicle;
-        let car = CarEnd::new(CarEndParts {
-            node: car_node,
-            car: Car::new(vehicle, &self.car, self.start),
-            controller: Controller::new(vehicle, &self.controller),
-            lidar: Lidar::new(&self.lidar, self.seed),
-            encoder: CarEncoder::new(self.layout, 0),
-            decoder: CarDecoder::new(self.layout),
-            wheelbase_m: vehicle.wheelbase_m,
-            track_m: vehicle.track_m,
-            scan_rate_hz: self.lidar.rate_hz,
-            odometry_rate_hz: self.car.odometry_rate_hz,
+        let car = CarEnd::new(&CarEndSetup {
+            start: self.start,
+            vehicle: &self.core.vehicle,
+            car: &self.car,
+            controller: &self.controller,
+            lidar: &self.lidar,
+            layout: self.layout,
+            seed: self.seed,
         });
         Ok(Rig {
             judge: Judge::new(radius_m),
             account,
             bus,
             daemon_node,
+            car_node,
             planner,
             car,
             goal: self.goal,
@@ -229,14 +180,6 @@ impl RigSetup {
             core,
             world: self.world,
         })
-    }
-
-    fn check_inside(&self, which: &'static str, point: Point) -> Result<(), SetupError> {
-        if self.world.contains(point) {
-            return Ok(());
-        }
-        let [low, high] = self.world.bounds().map(|corner| [corner.x, corner.y]);
-        Err(SetupError::OutsideMap { which, at: [point.x, point.y], low, high })
     }
 
     fn check_truth_size(&self) -> Result<(), SetupError> {

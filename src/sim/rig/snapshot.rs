@@ -126,6 +126,11 @@ impl Album {
         }
     }
 
+    /// Those that are kept so far, in order.
+    pub(super) fn kept(&self) -> &[Snapshot] {
+        &self.kept
+    }
+
     /// The snapshot nearest to the time wanted, or to half of the drive's duration.
     pub(super) fn chosen(&self, duration_s: f64) -> Option<&Snapshot> {
         let wanted_s = self.wanted_s.unwrap_or(0.5 * duration_s);

@@ -66,6 +66,12 @@ impl ClassicAssembly {
         }
     }
 
+    /// Bytes that it holds on to.
+    #[cfg(test)]
+    pub(super) fn capacity(&self) -> usize {
+        self.bytes.capacity()
+    }
+
     /// Forgets a message in the making; whether there was one.
     pub(super) fn give_up(&mut self) -> bool {
         self.begun.take().is_some()

@@ -25,6 +25,7 @@ use super::{
 pub struct CarEncoder {
     layout: Layout,
     boot: u8,
+    version: u8,
     scan: Protector,
     odometry: Protector,
     status: Protector,
@@ -39,12 +40,18 @@ impl CarEncoder {
         Self {
             layout,
             boot,
+            version: INTERFACE_VERSION,
             scan: protector(Kind::Scan),
             odometry: protector(Kind::Odometry),
             status: protector(Kind::Status),
             heartbeat: protector(Kind::CarHeartbeat),
             bytes: Vec::new(),
         }
+    }
+
+    /// Heartbeats claim another version of the interface from now on, as an older controller's do.
+    pub fn set_version(&mut self, version: u8) {
+        self.version = version;
     }
 
     /// A scan measured at `time` (its own stamp is not sent), appended to `frames`; nothing is
@@ -98,7 +105,7 @@ impl CarEncoder {
         let mut data = [0; DATA_MAX];
         s.stamp.put(&mut data, i64::from(time.as_micros() as u32));
         s.boot.put(&mut data, i64::from(self.boot));
-        s.version.put(&mut data, i64::from(INTERFACE_VERSION));
+        s.version.put(&mut data, i64::from(self.version));
         seal(Kind::CarHeartbeat, self.layout, &mut self.heartbeat, data)
     }
 }
@@ -123,6 +130,12 @@ impl CarDecoder {
             travelled_m: 0.0,
             turned_rad: 0.0,
         }
+    }
+
+    /// Bytes that it holds on to.
+    #[cfg(test)]
+    pub(super) fn capacity(&self) -> usize {
+        self.tail.capacity()
     }
 
     /// What was seen so far.

@@ -147,6 +147,12 @@ impl Decoder {
         }
     }
 
+    /// Bytes that it holds on to.
+    #[cfg(test)]
+    pub(super) fn capacity(&self) -> usize {
+        self.scan.capacity()
+    }
+
     /// What was seen so far.
     pub fn stats(&self) -> &WireStats {
         &self.receiver.stats

@@ -343,4 +343,6 @@ pub struct WireStats {
 }
 
 #[cfg(test)]
+mod fuzz_tests;
+#[cfg(test)]
 mod tests;

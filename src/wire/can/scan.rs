@@ -159,6 +159,12 @@ impl ScanAssembly {
         }
     }
 
+    /// Bytes that it holds on to.
+    #[cfg(test)]
+    pub(super) fn capacity(&self) -> usize {
+        self.classic.capacity() + self.ranges_m.capacity() * size_of::<f32>()
+    }
+
     /// Forgets a scan in the making.
     pub(super) fn give_up(&mut self) -> bool {
         self.ranges_m.clear();

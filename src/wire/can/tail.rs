@@ -144,6 +144,12 @@ impl TailAssembly {
         }
     }
 
+    /// Bytes that it holds on to.
+    #[cfg(test)]
+    pub(super) fn capacity(&self) -> usize {
+        self.classic.capacity() + self.tail.samples.capacity() * size_of::<TailSample>()
+    }
+
     fn give_up(&mut self) -> bool {
         self.tail.samples.clear();
         self.begun.take().is_some()

@@ -7,7 +7,7 @@ use crate::command::TailSample;
 
 const NOW: Instant = Instant::from_nanos(1_000_000_000);
 
-fn scan(beams: usize, sequence: u16) -> Scan {
+pub(super) fn scan(beams: usize, sequence: u16) -> Scan {
     let range_max_m = 12.0;
     Scan {
         stamp: Instant::ZERO,
@@ -25,7 +25,7 @@ fn scan(beams: usize, sequence: u16) -> Scan {
     }
 }
 
-fn tail(samples: usize) -> BrakingTail {
+pub(super) fn tail(samples: usize) -> BrakingTail {
     let spacing_m = 0.05;
     BrakingTail {
         plan: 77,
@@ -188,7 +188,7 @@ fn a_scan_that_takes_too_long_is_dropped() {
     }
 }
 
-fn motion(time: CarTime, travelled_m: f64, turned_rad: f64) -> CarOdometry {
+pub(super) fn motion(time: CarTime, travelled_m: f64, turned_rad: f64) -> CarOdometry {
     CarOdometry {
         time,
         epoch: 0,

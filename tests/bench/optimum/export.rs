@@ -106,6 +106,7 @@ fn drive(maze: &Maze, params: &Params, file: &Path) -> Result<Option<f64>, Box<d
             vehicle: p.vehicle,
             plan: p.plan,
             foreseen: p.foreseen,
+            janson: p.janson,
             search: p.search,
             manoeuvre: p.manoeuvre,
             smooth: p.smooth,

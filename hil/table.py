@@ -1,0 +1,86 @@
+"""The results of all scenarios in a folder as a table and as one JSON file.
+
+Usage: table.py DIR SCENARIO... ; exits with 1 unless every scenario named has passed.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import scenario as scenarios
+
+COLUMNS = [
+    ("scenario", "<26", lambda r: r["name"]),
+    ("", "<6", lambda r: "ok" if r["passed"] else "FAILED"),
+    ("end", "<12", lambda r: r["car"]["outcome"]),
+    ("time s", ">6", lambda r: f"{r['car']['time_s']:.1f}"),
+    ("max m/s", ">7", lambda r: f"{r['speed_max_mps']:.2f}"),
+    ("clear m", ">7", lambda r: f"{r['car']['min_clearance_m']:.3f}"),
+    ("stop s", ">6", lambda r: f"{r['rest']['stop_s']:.2f}"),
+    ("stop m", ">6", lambda r: f"{r['rest']['stop_m']:.2f}"),
+    ("plan99", ">6", lambda r: f"{r['daemon']['plan_ms']['p99']:.1f}"),
+    ("act99", ">6", lambda r: f"{r['daemon']['scan_to_setpoint_ms']['p99']:.1f}"),
+    ("jit99", ">6", lambda r: f"{r['daemon']['tick_jitter_ms']['p99']:.2f}"),
+    ("cpu", ">5", lambda r: f"{r['daemon']['cpu']['mean']:.2f}"),
+    ("faults (s until raised)", "<", lambda r: faults(r["faults"])),
+]
+LEGEND = (
+    "clear: least distance to an obstacle; stop: from the first thing done to rest; ms, 99th "
+    "percentile: plan: a planning step,\nact: last frame of a scan to the first setpoint of the plan "
+    "made from it, jit: lateness of control ticks; cpu: cores, the daemon alone"
+)
+
+
+def faults(raised):
+    """Those raised after something happened, in this order; then those without a time."""
+    timed = sorted((after, name) for name, after in raised.items() if (after or -1) > -0.05)
+    words = [f"{name} {after:.2f}" for after, name in timed]
+    return ", ".join(words + [name for name, after in raised.items() if after is None])
+
+
+def cell(row, make):
+    try:
+        return make(row)
+    except (KeyError, TypeError):
+        return "-"
+
+
+def main():
+    out = Path(sys.argv[1])
+    results, missing, skipped = [], [], []
+    for one in scenarios.all_of(sys.argv[2:]):
+        try:
+            result = json.loads((out / one.name / "result.json").read_text())
+            (skipped if "skipped" in result else results).append(result)
+        except (OSError, ValueError):
+            missing.append(one.name)
+    print(" ".join(f"{title:{form}}" for title, form, _ in COLUMNS).rstrip())
+    for row in results:
+        print(" ".join(f"{cell(row, make):{form}}" for _, form, make in COLUMNS).rstrip())
+        for failure in row["failures"]:
+            print("    " + str(failure).replace("\n", "\n    "))
+    for name in missing:
+        print(f"{name:26} FAILED\n    it was not played to its end")
+    for row in skipped:
+        print(f"{row['name']:26} not played: {row['skipped']}")
+    print(LEGEND)
+    failed = sum(not row["passed"] for row in results) + len(missing)
+    passed = len(results) + len(missing) - failed
+    (out / "results.json").write_text(
+        json.dumps(
+            {
+                "passed": passed,
+                "failed": failed,
+                "skipped": len(skipped),
+                "scenarios": results,
+            },
+            indent=1,
+        )
+        + "\n"
+    )
+    print(f"\nHIL: {passed} passed, {failed} failed, {len(skipped)} skipped")
+    sys.exit(1 if failed or not passed else 0)
+
+
+if __name__ == "__main__":
+    main()
