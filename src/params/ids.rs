@@ -29,9 +29,13 @@ const SECTIONS: &[(&str, &str)] = &[
 
 /// Names that the rule gives to two parameters, or makes unreadable.
 const NAMES: &[(&str, &str)] = &[
+    ("autopilot.bus_errors_max_ps", "AP_BUS_ERR_MAX"),
     ("autopilot.tracking_error_max_m", "AP_TRACK_ERR_MAX"),
+    ("car.odometry_rate_hz", "CAR_ODO_RATE"),
     ("control.lateral_settle_s", "CTL_LAT_SETTLE"),
     ("control.lateral_settle_min_m", "CTL_LAT_SETT_MIN"),
+    ("controller.tail_offset_max_m", "ECU_TAIL_OFF_MAX"),
+    ("daemon.stop_time_limit_s", "DMN_STOP_LIMIT"),
     ("guard.drive_jerk_max_mps3", "GRD_DRV_JERK_MAX"),
     ("guard.lateral_jerk_max_mps3", "GRD_LAT_JERK_MAX"),
     ("guard.odometry_age_max_s", "GRD_ODO_AGE_MAX"),
@@ -39,6 +43,7 @@ const NAMES: &[(&str, &str)] = &[
     ("mavlink.origin_known", "MAV_ORIG_KNOWN"),
     ("mavlink.origin_latitude_deg", "MAV_ORIG_LAT"),
     ("mavlink.origin_longitude_deg", "MAV_ORIG_LON"),
+    ("plan.unknown_room_m", "PLAN_UNKN_ROOM"),
     ("smooth.bubble_radius_max_m", "SMO_BUB_RAD_MAX"),
 ];
 

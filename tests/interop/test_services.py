@@ -75,7 +75,8 @@ class Services(unittest.TestCase):
 
     def start(self, *arguments):
         self.vehicle = Vehicle(
-            self.folder.name, "--set", f"daemon.state_directory={self.state}", *arguments
+            self.folder.name, "-v", "--set", f"daemon.state_directory={self.state}",
+            *arguments
         )
         self.station = Station(self.vehicle.port)
 
@@ -101,6 +102,15 @@ class Services(unittest.TestCase):
                 return message
         self.fail(f"no {kinds} within {seconds} s; heard: {self.station.texts}")
 
+    def insist(self, command, *params):
+        """Again while the car says that waiting helps: the computer may be busy with other tests."""
+        end = time.monotonic() + 10.0
+        while True:
+            result = self.station.long(command, *params)
+            if result != mavlink.MAV_RESULT_TEMPORARILY_REJECTED or time.monotonic() > end:
+                break
+        self.assertEqual(result, ACCEPTED, self.station.texts)
+
     # ---- parameters
 
     def read_all(self):
@@ -112,12 +122,16 @@ class Services(unittest.TestCase):
             if len(values) == message.param_count:
                 return values
 
-    def set(self, name, value, kind):
+    def set(self, name, value, kind, wanted=None):
+        """The answer; again for a while if `wanted` is not it, which a busy computer may cause."""
         raw = bytewise(value) if kind == INT else value
-        self.station.link.mav.param_set_send(1, 1, name.encode(), raw, kind)
-        message = self.next("PARAM_VALUE")
-        self.assertEqual(message.param_id, name)
-        return plain(message)
+        end = time.monotonic() + 15.0
+        while True:
+            self.station.link.mav.param_set_send(1, 1, name.encode(), raw, kind)
+            message = self.next("PARAM_VALUE")
+            self.assertEqual(message.param_id, name)
+            if wanted is None or plain(message) == wanted or time.monotonic() > end:
+                return plain(message)
 
     def test_parameters_are_read_set_kept_and_refused(self):
         values = self.read_all()
@@ -127,8 +141,8 @@ class Services(unittest.TestCase):
         self.station.link.mav.param_request_read_send(1, 1, b"SPD_SPEED_MAX", -1)
         self.assertEqual(plain(self.next("PARAM_VALUE")), 4.0)
 
-        self.assertEqual(self.set("SPD_SPEED_MAX", 2.5, REAL), 2.5)
-        self.assertEqual(self.set("PLAN_STOP_RULE", 1, INT), 1)
+        self.assertEqual(self.set("SPD_SPEED_MAX", 2.5, REAL, wanted=2.5), 2.5)
+        self.assertEqual(self.set("PLAN_STOP_RULE", 1, INT, wanted=1), 1)
         self.assertEqual(self.set("VEH_MASS", 3.0, REAL), 3.0)
         self.station.await_(
             lambda: any("next start" in text for text in self.station.texts), "a word", 2.0)
@@ -182,7 +196,8 @@ class Services(unittest.TestCase):
 
     def test_a_mission_of_three_goals_is_driven(self):
         goals = [(5.5, 4.0), (6.5, 7.0), (3.0, 11.0)]
-        items = [self.goal(*goal) for goal in goals]
+        # A second at each goal, or the car is on its way again before its place is heard.
+        items = [self.goal(*goal, wait=1.0) for goal in goals]
         items.insert(1, (LOCAL, mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, 1.5, -1.0, 0.0), 0, 0))
         self.assertEqual(self.upload(MISSION, items), DONE)
         self.assertEqual(self.download(MISSION), items)
@@ -195,7 +210,7 @@ class Services(unittest.TestCase):
         station = self.station
         self.assertNotEqual(station.long(mavlink.MAV_CMD_MISSION_START), ACCEPTED)
         station.arm()
-        self.assertEqual(station.long(mavlink.MAV_CMD_MISSION_START), ACCEPTED)
+        self.insist(mavlink.MAV_CMD_MISSION_START)
         reached = []
         paused = False
         end = time.monotonic() + 120.0
@@ -210,12 +225,12 @@ class Services(unittest.TestCase):
                 self.assertLess(math.dist(station.position(), at), 0.6)
             if reached == [0] and not paused and station.speed() > 0.8:
                 paused = True
-                self.assertEqual(station.long(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0), ACCEPTED)
+                self.insist(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0)
                 station.await_(lambda: station.speed() < 0.02, "rest")
                 station.await_(
                     lambda: station.last["MISSION_CURRENT"].mission_state
                     == mavlink.MISSION_STATE_PAUSED, "pause", 3.0)
-                self.assertEqual(station.long(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1), ACCEPTED)
+                self.insist(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1)
         self.assertEqual(reached, [0, 2, 3])
         self.assertTrue(paused)
         station.await_(lambda: "Mission complete" in station.texts, "the end", 3.0)
@@ -239,6 +254,8 @@ class Services(unittest.TestCase):
         self.assertEqual(self.download(MISSION), [])
         station = self.station
         station.arm()
+        # Slowly enough to be heard while it passes.
+        self.insist(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 1.0)
         self.assertEqual(station.go(3.0, 6.0), ACCEPTED)
         crossed = []
         end = time.monotonic() + 60.0
@@ -256,14 +273,25 @@ class Services(unittest.TestCase):
 
     # ---- files
 
+    def metadata(self):
+        """Checksum and address. pymavlink 2.4.50 does not know the message: read byte by byte."""
+        self.station.link.mav.command_long_send(
+            1, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 397, 0, 0, 0, 0, 0, 0)
+        end = time.monotonic() + 5.0
+        while time.monotonic() < end:
+            message = self.station.link.recv_match(blocking=True, timeout=0.1)
+            if message is not None and message.get_type() == "UNKNOWN_397":
+                frame = bytes(message.data)
+                payload = frame[10:10 + frame[1]].ljust(108, b"\0")
+                crc = struct.unpack_from("<I", payload, 4)[0]
+                return crc, payload[8:].rstrip(b"\0").decode()
+        self.fail("no COMPONENT_METADATA")
+
     def test_files_are_listed_and_downloaded_and_metadata_keeps_to_its_schema(self):
         log = bytes(range(256)) * 100
         (self.state / "logs" / "drive.log").write_bytes(log)
         (self.state / "secret").write_text("no")
-        request = mavlink.MAV_CMD_REQUEST_MESSAGE
-        self.assertEqual(self.station.long(request, 397), ACCEPTED)
-        self.station.await_(lambda: "COMPONENT_METADATA" in self.station.last, "metadata", 3.0)
-        about = self.station.last["COMPONENT_METADATA"]
+        metadata_crc, metadata_uri = self.metadata()
         ftp = mavftp.MAVFTP(self.station.link, 1, 1)
         ftp.cmd_list(["/"])
         self.assertEqual(
@@ -274,15 +302,19 @@ class Services(unittest.TestCase):
 
         def get(path):
             got = []
-            ftp.cmd_get([path], callback=lambda file: got.append(file.read()))
+            ftp.cmd_get([path], callback=lambda file: got.append(file.read() if file else None))
             ftp.process_ftp_reply("OpenFileRO", timeout=20)
             return got[0] if got else None
 
-        self.assertEqual(get("/logs/drive.log"), log)
+        def get_again(path):
+            """The client gives up soon when the computer is busy."""
+            return get(path) or get(path) or get(path)
+
+        self.assertEqual(get_again("/logs/drive.log"), log)
         self.assertIsNone(get("/logs/../secret"))
 
-        general_bytes = get(about.uri.removeprefix("mftp://"))
-        self.assertEqual(crc32(general_bytes), about.file_crc)
+        general_bytes = get_again(metadata_uri.removeprefix("mftp://"))
+        self.assertEqual(crc32(general_bytes), metadata_crc)
         general = json.loads(general_bytes)
         self.assertEqual(set(general), {"version", "metadataTypes"})
         self.assertGreaterEqual(general["version"], 1)
@@ -290,7 +322,7 @@ class Services(unittest.TestCase):
         for key, value in entry.items():
             self.assertIsInstance(value, GENERAL_ENTRY[key])
         self.assertEqual(entry["type"], 1)
-        parameter_bytes = get(entry["uri"].removeprefix("mftp://"))
+        parameter_bytes = get_again(entry["uri"].removeprefix("mftp://"))
         self.assertEqual(crc32(parameter_bytes), entry["fileCrc"])
         parameters = json.loads(parameter_bytes)
         self.assertEqual(set(parameters), {"version", "parameters"})
