@@ -18,7 +18,7 @@ from pathlib import Path
 import judge
 import mavlink
 import scenario as scenarios
-from stage import Broken, Bus, Hog, Process, Recorder, StoppedThread, Truth, call
+from stage import Broken, Bus, Hog, Process, Pulse, Recorder, StoppedThread, Truth, call
 
 POLL_S = 0.01
 # The daemon has this long from its start until the car moves.
@@ -223,6 +223,7 @@ def run_one(scenario, bus, binary, folder):
     began = time.monotonic()
     play = Play(scenario, bus, binary, folder)
     recorder = Recorder(bus.interface, folder)
+    pulse = Pulse()
     ends, broken = [], None
     try:
         play.play()
@@ -233,6 +234,7 @@ def run_one(scenario, bus, binary, folder):
             ends = play.clean_up()
         finally:
             recorder.end()
+            stalled_ms = pulse.end()
     try:
         result = judge.judge(play, ends, broken)
     except (KeyError, TypeError, ValueError) as error:
@@ -242,6 +244,7 @@ def run_one(scenario, bus, binary, folder):
             "passed": False,
             "failures": [f"cannot be judged: {type(error).__name__}: {error}", *filter(None, [broken])],
         }
+    result["stalled_ms"] = stalled_ms
     result["wall_s"] = round(time.monotonic() - began, 2)
     (folder / "result.json").write_text(json.dumps(result, indent=1) + "\n")
     return result

@@ -221,6 +221,37 @@ while True:
         self.child.wait()
 
 
+class Pulse:
+    """Feels whether the machine itself is kept from running: a program that goes before everything
+    else on it, sleeps 5 ms at a time and notes by how much it woke too late at worst. Where the
+    machine is a guest, that is how long its host left it waiting."""
+
+    PROGRAM = """
+import os, select, sys, time
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
+worst, before = 0.0, time.monotonic()
+while not select.select([sys.stdin], [], [], 0.005)[0]:
+    now = time.monotonic()
+    worst = max(worst, now - before - 0.005)
+    before = now
+print(1e3 * worst)
+"""
+
+    def __init__(self):
+        self.child = subprocess.Popen(
+            [sys.executable, "-c", self.PROGRAM],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+
+    def end(self):
+        """The longest wait in milliseconds; None where real-time priority is not to be had."""
+        output, _ = self.child.communicate("\n", timeout=10)
+        return round(float(output), 1) if self.child.returncode == 0 else None
+
+
 class StoppedThread:
     """One thread of a program held still by ptrace, as if it hung."""
 

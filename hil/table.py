@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import scenario as scenarios
+from again import FIRST
 
 COLUMNS = [
     ("scenario", "<26", lambda r: r["name"]),
@@ -22,12 +23,14 @@ COLUMNS = [
     ("act99", ">6", lambda r: f"{r['daemon']['scan_to_setpoint_ms']['p99']:.1f}"),
     ("jit99", ">6", lambda r: f"{r['daemon']['tick_jitter_ms']['p99']:.2f}"),
     ("cpu", ">5", lambda r: f"{r['daemon']['cpu']['mean']:.2f}"),
+    ("stall", ">6", lambda r: f"{r['stalled_ms']:.0f}"),
     ("faults (s until raised)", "<", lambda r: faults(r["faults"])),
 ]
 LEGEND = (
     "clear: least distance to an obstacle; stop: from the first thing done to rest; ms, 99th "
     "percentile: plan: a planning step,\nact: last frame of a scan to the first setpoint of the plan "
-    "made from it, jit: lateness of control ticks; cpu: cores, the daemon alone"
+    "made from it, jit: lateness of control ticks; cpu: cores, the daemon "
+    "alone; stall:\nlongest time that the machine itself was kept from running, ms"
 )
 
 
@@ -45,20 +48,38 @@ def cell(row, make):
         return "-"
 
 
+def tell(failures):
+    for failure in failures:
+        print("    " + str(failure).replace("\n", "\n    "))
+
+
+def read(folder):
+    """The result in a folder, None if there is none."""
+    try:
+        return json.loads((folder / "result.json").read_text())
+    except (OSError, ValueError):
+        return None
+
+
 def main():
     out = Path(sys.argv[1])
     results, missing, skipped = [], [], []
     for one in scenarios.all_of(sys.argv[2:]):
-        try:
-            result = json.loads((out / one.name / "result.json").read_text())
-            (skipped if "skipped" in result else results).append(result)
-        except (OSError, ValueError):
+        result = read(out / one.name)
+        if result is None:
             missing.append(one.name)
+            continue
+        if (out / (one.name + FIRST)).exists():
+            result["first_try"] = read(out / (one.name + FIRST)) or {}
+        (skipped if "skipped" in result else results).append(result)
     print(" ".join(f"{title:{form}}" for title, form, _ in COLUMNS).rstrip())
     for row in results:
         print(" ".join(f"{cell(row, make):{form}}" for _, form, make in COLUMNS).rstrip())
-        for failure in row["failures"]:
-            print("    " + str(failure).replace("\n", "\n    "))
+        tell(row["failures"])
+        if "first_try" in row:
+            stalled_ms = row["first_try"].get("stalled_ms")
+            print(f"    the second try; of the first (machine kept waiting up to {stalled_ms} ms):")
+            tell(row["first_try"].get("failures", ["it was not played to its end"]))
     for name in missing:
         print(f"{name:26} FAILED\n    it was not played to its end")
     for row in skipped:
@@ -78,6 +99,9 @@ def main():
         )
         + "\n"
     )
+    again = sum("first_try" in row for row in results)
+    if again:
+        print(f"\n{again} played a second time")
     print(f"\nHIL: {passed} passed, {failed} failed, {len(skipped)} skipped")
     sys.exit(1 if failed or not passed else 0)
 
