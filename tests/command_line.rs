@@ -237,6 +237,55 @@ fn the_car_refuses_what_cannot_be_and_says_why() {
 }
 
 #[test]
+fn the_daemon_says_why_it_cannot_begin_and_forgets_no_crash() {
+    let folder = folder();
+    let state = folder.path().join("state");
+    std::fs::create_dir(&state).unwrap();
+    let directory = format!("daemon.state_directory={}", state.display());
+    let begin = || {
+        let quick = ["--set", "predict.kind=none", "--set", "daemon.lock_memory=false"];
+        let mut words = vec!["run", "--can", "nocan0", "--set", &directory];
+        words.extend(quick);
+        apexd(folder.path(), &words)
+    };
+    let first = begin();
+    assert_eq!(first.code, 1, "{}", first.err);
+    // Which of the two depends on the kernel that the test runs on.
+    let named = ["nocan0", "modprobe can_raw"].iter().any(|text| first.err.contains(text));
+    assert!(named, "{}", first.err);
+    assert!(!first.err.contains("ended unexpectedly"), "{}", first.err);
+    assert_eq!(std::fs::read_dir(&state).unwrap().count(), 0, "no mark is left");
+
+    // As a daemon leaves it that was killed.
+    std::fs::write(state.join("running"), "1\n").unwrap();
+    for _ in 0..2 {
+        let ran = begin();
+        assert_eq!(ran.code, 1, "{}", ran.err);
+        let said = "previous run ended unexpectedly; disarmed";
+        assert!(ran.err.contains(said), "{}", ran.err);
+    }
+}
+
+#[test]
+fn the_daemon_refuses_what_it_cannot_do() {
+    let folder = folder();
+    for (arguments, code, text) in [
+        ("run --until-goal", 2, "--goal"),
+        ("run --goal 1", 2, "two numbers X,Y"),
+        ("run --time-limit 0", 2, "above zero"),
+        ("run --set daemon.priority=100", 78, "0 to 99"),
+        ("run --set plan.policy=known-map", 78, "true map"),
+        ("run --set predict.kind=oracle --set daemon.lock_memory=false", 78, "true map"),
+    ] {
+        let words: Vec<&str> = arguments.split_whitespace().collect();
+        let ran = apexd(folder.path(), &words);
+        assert_eq!(ran.code, code, "{arguments}: {}", ran.err);
+        assert!(ran.err.contains(text), "{arguments}: {}", ran.err);
+        assert!(ran.out.is_empty(), "{}", ran.out);
+    }
+}
+
+#[test]
 fn a_goal_behind_closed_walls_is_unreachable() {
     let folder = folder();
     room(folder.path(), |x, _| (3.0..3.3).contains(&x));

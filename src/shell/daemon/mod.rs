@@ -126,7 +126,7 @@ pub fn run(
         Ok(mavlink) => mavlink,
         Err(error) => {
             complain(&error.to_string());
-            end_well(marker);
+            never_began(marker);
             return Exit::Configuration;
         }
     };
@@ -163,8 +163,7 @@ pub fn run(
         Ok(Ok(summary)) => summary,
         Ok(Err(error)) => {
             complain(&error.to_string());
-            // Nothing has moved.
-            end_well(marker);
+            never_began(marker);
             return Exit::Failed;
         }
         Err(panic) => {
@@ -255,6 +254,11 @@ fn exit_of(summary: &Summary, task: Task) -> Exit {
         "timeout" if missed => Exit::Failed,
         _ => Exit::Done,
     }
+}
+
+/// Nothing has moved; but what an earlier run has left behind is still to be known about.
+fn never_began(marker: Option<Marker>) {
+    end_well(marker.filter(|marker| !marker.after_crash));
 }
 
 fn end_well(marker: Option<Marker>) {
