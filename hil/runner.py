@@ -234,7 +234,7 @@ def run_one(scenario, bus, binary, folder):
             ends = play.clean_up()
         finally:
             recorder.end()
-            stalled_ms = pulse.end()
+            wake_late_ms = pulse.end()
     try:
         result = judge.judge(play, ends, broken)
     except (KeyError, TypeError, ValueError) as error:
@@ -244,7 +244,7 @@ def run_one(scenario, bus, binary, folder):
             "passed": False,
             "failures": [f"cannot be judged: {type(error).__name__}: {error}", *filter(None, [broken])],
         }
-    result["stalled_ms"] = stalled_ms
+    result["wake_late_ms"] = wake_late_ms
     result["wall_s"] = round(time.monotonic() - began, 2)
     (folder / "result.json").write_text(json.dumps(result, indent=1) + "\n")
     return result

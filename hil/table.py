@@ -23,14 +23,16 @@ COLUMNS = [
     ("act99", ">6", lambda r: f"{r['daemon']['scan_to_setpoint_ms']['p99']:.1f}"),
     ("jit99", ">6", lambda r: f"{r['daemon']['tick_jitter_ms']['p99']:.2f}"),
     ("cpu", ">5", lambda r: f"{r['daemon']['cpu']['mean']:.2f}"),
-    ("stall", ">6", lambda r: f"{r['stalled_ms']:.0f}"),
+    ("wake99", ">6", lambda r: f"{r['wake_late_ms']['p99']:.2f}"),
+    ("stall", ">5", lambda r: f"{r['wake_late_ms']['max']:.0f}"),
     ("faults (s until raised)", "<", lambda r: faults(r["faults"])),
 ]
 LEGEND = (
     "clear: least distance to an obstacle; stop: from the first thing done to rest; ms, 99th "
     "percentile: plan: a planning step,\nact: last frame of a scan to the first setpoint of the plan "
     "made from it, jit: lateness of control ticks; cpu: cores, the daemon "
-    "alone; stall:\nlongest time that the machine itself was kept from running, ms"
+    "alone; wake:\nlateness of a program that goes before all others; stall: the same at worst: the "
+    "machine itself did not run"
 )
 
 
@@ -77,8 +79,8 @@ def main():
         print(" ".join(f"{cell(row, make):{form}}" for _, form, make in COLUMNS).rstrip())
         tell(row["failures"])
         if "first_try" in row:
-            stalled_ms = row["first_try"].get("stalled_ms")
-            print(f"    the second try; of the first (machine kept waiting up to {stalled_ms} ms):")
+            stall = (row["first_try"].get("wake_late_ms") or {}).get("max", "?")
+            print(f"    the second try; of the first (the machine stood still for up to {stall} ms):")
             tell(row["first_try"].get("failures", ["it was not played to its end"]))
     for name in missing:
         print(f"{name:26} FAILED\n    it was not played to its end")
