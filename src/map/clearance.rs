@@ -70,7 +70,7 @@ impl<'a> Clearance<'a> {
         let cap_m = cap_m.min(self.field.cap_m());
         let cell = self.grid.cell_at(p);
         if !self.grid.bounds().contains(cell) {
-            return self.search().nearest_to_point(p, 0.0, cap_m);
+            return self.from_outside(p, cap_m);
         }
         let resolution = self.grid.resolution_m();
         let centres = f64::from(self.field.distance_m(cell));
@@ -87,14 +87,38 @@ impl<'a> Clearance<'a> {
         self.nearest_by_columns(p, cap_m.min(most)).min(cap_m)
     }
 
-    /// The nearest square to a point inside the bounds, column by column outwards: the field knows
-    /// how far away each column's nearest one is. `cap_m` (no more than the field's) if none is
-    /// nearer.
+    /// [`at_up_to`](Self::at_up_to) for a point outside the bounds, where everything is unknown.
+    fn from_outside(&self, p: Point, cap_m: f64) -> f64 {
+        let bounds = self.grid.bounds();
+        if self.field.blocking().blocks(Cell::Unknown) {
+            return 0.0;
+        }
+        if bounds.is_empty() {
+            return cap_m;
+        }
+        let resolution = self.grid.resolution_m();
+        let side = |low: i32, high: i32| (f64::from(low) * resolution, f64::from(high) * resolution);
+        let ((x0, x1), (y0, y1)) = (side(bounds.x0, bounds.x1), side(bounds.y0, bounds.y1));
+        // The bounds are convex: with q the nearest point of them, |po|^2 >= |pq|^2 + |qo|^2 for
+        // all o in them. A hair inside, q lies in a cell.
+        let hair = 1e-9 * resolution;
+        let q = Point::new(p.x.clamp(x0, x1 - hair), p.y.clamp(y0, y1 - hair));
+        if (p - q).norm_squared() + self.at_least(q).powi(2) >= (cap_m + 2.0 * hair).powi(2) {
+            return cap_m;
+        }
+        self.nearest_by_columns(p, cap_m)
+    }
+
+    /// The nearest square to a point, column by column outwards: the field knows how far away each
+    /// column's nearest one is. Outside the bounds nothing may block. `cap_m` (no more than the
+    /// field's) if none is nearer.
     fn nearest_by_columns(&self, p: Point, cap_m: f64) -> f64 {
         let resolution = self.grid.resolution_m();
         let bounds = self.grid.bounds();
         let blocking = self.field.blocking();
-        let home = self.grid.cell_at(p);
+        let mut home = self.grid.cell_at(p);
+        // From the outermost row all rows with anything in them lie on the same side.
+        home.iy = home.iy.clamp(bounds.y0, bounds.y1 - 1);
         let rows_away = self.field.rows_away(home.iy);
         let gap_y = |iy: i32| {
             let low = f64::from(iy) * resolution;
@@ -102,6 +126,7 @@ impl<'a> Clearance<'a> {
         };
         // To the edges of the own row; the nearer one leads.
         let edge_m = gap_y(home.iy - 1).min(gap_y(home.iy + 1));
+        let home_m = gap_y(home.iy);
         let mut best2 = cap_m * cap_m;
         for away in 0.. {
             let mut any = false;
@@ -120,7 +145,7 @@ impl<'a> Clearance<'a> {
                 }
                 let rows = i32::from(rows_away[(ix - bounds.x0) as usize]);
                 if rows == 0 {
-                    best2 = best2.min(dx * dx);
+                    best2 = best2.min(dx * dx + home_m * home_m);
                     continue;
                 }
                 let least = edge_m + f64::from(rows - 1) * resolution * (1.0 - 1e-12);
