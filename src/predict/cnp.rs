@@ -13,6 +13,8 @@ use crate::time::Duration;
 /// A decoder that works for every target is asked for squares of this many coarse cells by as many
 /// (2 m by 2 m at 0.25 m): each question costs a little by itself, each target more.
 const TILE_CELLS: usize = 8;
+/// No place in the crop.
+const NOWHERE: usize = usize::MAX;
 
 /// Asks a trained network.
 ///
@@ -30,6 +32,8 @@ pub struct CnpPredictor {
     /// One for each cell of the crop; NaN where the network is to be asked.
     answers: Vec<f32>,
     within: Vec<bool>,
+    /// Places in the crop of the points asked for, [`NOWHERE`] outside.
+    places: Vec<usize>,
     wanted: Vec<u32>,
     given: Vec<f32>,
 }
@@ -49,6 +53,7 @@ impl CnpPredictor {
             fault: None,
             answers: vec![SILENT; CROP_CELLS * CROP_CELLS],
             within: Vec::new(),
+            places: Vec::new(),
             wanted: Vec::new(),
             given: Vec::new(),
             network: CropNetwork::new(network, params.fade),
@@ -123,20 +128,25 @@ impl OccupancyView for CnpPredictor {
             return;
         }
         self.wanted.clear();
+        let mut places = std::mem::take(&mut self.places);
+        places.clear();
         for point in points {
-            if let Some(at) = self.cell(*point).filter(|at| self.answers[*at].is_nan()) {
+            let at = self.cell(*point).unwrap_or(NOWHERE);
+            if self.answers.get(at).is_some_and(|answer| answer.is_nan()) {
                 self.wanted.push(at as u32);
             }
+            places.push(at);
         }
+        self.places = places;
         if !self.wanted.is_empty()
             && let Err(fault) = self.decode()
         {
             self.fault = Some(fault);
             return;
         }
-        for (point, out) in points.iter().zip(out) {
-            if let Some(at) = self.cell(*point) {
-                *out = self.answers[at];
+        for (at, out) in self.places.iter().zip(out) {
+            if let Some(answer) = self.answers.get(*at) {
+                *out = *answer;
             }
         }
     }

@@ -175,7 +175,8 @@ impl Pricing {
             Penalty::Literal => penalty.min(LITERAL_FACTOR_MAX),
         };
         // A factor of zero (alpha = 0 with `literal`) must not read as blocked.
-        (factor * f64::from(KNOWN)).round().max(1.0) as u16
+        // Rounded; `f64::round` is a call into the C library.
+        (factor * f64::from(KNOWN) + 0.5).max(1.0) as u16
     }
 }
 
@@ -214,8 +215,13 @@ impl Asker<'_> {
         block.answers.resize(block.points.len(), f32::NAN);
         self.view.occupied(&block.points, &mut block.answers);
         self.asked += block.points.len();
+        // Coarser cells than ours answer several of ours in turn with the same number.
+        let (mut last_phi, mut last) = (SILENT, self.pricing.weight(SILENT));
         for (at, phi) in block.cells.iter().zip(&block.answers) {
-            window.weights[*at as usize] = self.pricing.weight(*phi);
+            if phi.to_bits() != last_phi.to_bits() {
+                (last_phi, last) = (*phi, self.pricing.weight(*phi));
+            }
+            window.weights[*at as usize] = last;
         }
     }
 
