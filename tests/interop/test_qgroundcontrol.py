@@ -97,12 +97,18 @@ class Connection:
     # ---- the steps, in their order: InitialConnectStateMachine.cc, _createStates
 
     def run(self):
+        """InitialConnectStateMachine.h, _maxRetries: every step is tried once more."""
         for step in (
             self.heartbeat, self.autopilot_version, self.standard_modes, self.component_metadata,
             self.load_parameters, self.mission, self.geofence, self.rally_points,
         ):
             self.step = step.__name__
-            step()
+            try:
+                step()
+            except Stuck:
+                if self.step == self.hurried:
+                    raise
+                step()
         self.step = None
 
     def stuck(self, what):
