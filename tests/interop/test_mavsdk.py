@@ -1,4 +1,5 @@
-"""MAVSDK 4 drives the simulated car: parameters, a mission, pause and continue, health; both identities.
+"""MAVSDK 4 drives the simulated car: parameters and origin kept over a restart, a mission, pause and continue,
+health; both identities.
 
 Needs the release build of apexd (APEXD_BINARY names another one).
 """
@@ -115,9 +116,6 @@ class Generic(unittest.TestCase):
         settings = {
             "daemon.state_directory": Path(self.folder.name) / "state",
             "mavlink.identity": self.identity,
-            "mavlink.origin_known": "true",
-            "mavlink.origin_latitude_deg": LATITUDE,
-            "mavlink.origin_longitude_deg": LONGITUDE,
         }
         words = [word for item in settings.items() for word in ("--set", "{}={}".format(*item))]
         self.vehicle = Vehicle(self.folder.name, "-v", *words)
@@ -156,6 +154,8 @@ class Generic(unittest.TestCase):
         client.insist(lambda: client.param.set_param_float("SPD_SPEED_MAX", 2.5), ParamError)
         client.insist(lambda: client.param.set_param_int("MAV_FORCED_ARMNG", 1), ParamError)
         self.assertEqual(self.refusal(), ParamResult.VALUE_OUT_OF_RANGE)
+        client.insist(
+            lambda: client.action.set_gps_global_origin(LATITUDE, LONGITUDE, 0.0), ActionError)
 
         client.close()
         self.client = None
@@ -168,7 +168,7 @@ class Generic(unittest.TestCase):
         rule = client.insist(lambda: client.param.get_param_int("MAV_FORCED_ARMNG"), ParamError)
         self.assertEqual(rule, 1)
 
-        # Health: what this car has is well; it has none of the sensors of something that flies.
+        # Health, with the origin that was kept: what this car has is well; it has none of the sensors of something that flies.
         client.await_(lambda: client.heard("health").is_armable, "health")
         health = client.heard("health")
         self.assertTrue(health.is_local_position_ok)
