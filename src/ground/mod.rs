@@ -335,6 +335,10 @@ impl Ground {
                 self.out.say(MavSeverity::MAV_SEVERITY_INFO, "Goal reached");
             }
             CoreEvent::ModeChanged { to } => {
+                // The next view is a while away, and until then a mode would be shown that is over.
+                if let Some((_, view)) = &mut self.view {
+                    view.mode = *to;
+                }
                 if *to == CoreMode::Terminated {
                     let text = "Terminated: the car stands until the next start";
                     self.out.say(MavSeverity::MAV_SEVERITY_CRITICAL, text);

@@ -626,6 +626,27 @@ fn termination_and_restart_are_asked_for_only_in_earnest() {
 }
 
 #[test]
+fn a_drive_that_has_ended_is_not_shown_until_the_next_view() {
+    let mut talk = Talk::new();
+    let sent = talk.long(MavCmd::MAV_CMD_DO_SET_MODE, [1.0, 15.0, 0., 0., 0., 0., 0.]);
+    assert_eq!(result(&sent), R::MAV_RESULT_ACCEPTED);
+    talk.mode = CoreMode::Drive;
+    talk.look();
+    talk.drain();
+    talk.ground.handle_event(talk.now, &CoreEvent::ModeChanged { to: CoreMode::Standby });
+    talk.ack(MavCmd::MAV_CMD_DO_SET_MODE, [1.0, 4.0, 0., 0., 0., 0., 0.]);
+    // Chosen is to hold, and there is nothing that says otherwise.
+    talk.now = talk.now.offset_by(0.02);
+    talk.ground.handle_time(talk.now);
+    let modes: Vec<_> = heartbeats(&talk.drain()).iter().map(|beat| beat.custom_mode).collect();
+    assert!(modes.iter().all(|mode| *mode == 4), "{modes:?}");
+    talk.ground.handle_channel_open(talk.now, ChannelId(7), ChannelInfo::default());
+    talk.ground.handle_time(talk.now);
+    let modes: Vec<_> = heartbeats(&talk.drain()).iter().map(|beat| beat.custom_mode).collect();
+    assert_eq!(modes, [4]);
+}
+
+#[test]
 fn a_message_that_is_asked_for_again_is_sent_again() {
     let mut talk = Talk::new();
     let mut request = long(MavCmd::MAV_CMD_REQUEST_MESSAGE, [148.0, 0., 0., 0., 0., 0., 0.]);
