@@ -29,7 +29,6 @@ def judge(play, ends, broken):
         "steps": play.done,
         "foreign_hz": play.foreign_hz,
         "packets_hz": play.packets_hz,
-        "tick_late_ms": tick_late_ms(daemon, play.stalled_ms),
         "load": play.load,
     }
     if broken:
@@ -80,12 +79,6 @@ def judge(play, ends, broken):
             failures.append(f"{path} = {value}, not within {lowest} to {highest}")
     result["passed"] = not failures
     return result
-
-
-def tick_late_ms(daemon, stalled_ms):
-    """By how much the latest control tick was later than the machine itself ever was."""
-    latest_ms = look_up(daemon or {}, "tick_jitter_ms.max")
-    return None if latest_ms is None else round(max(0.0, latest_ms - (stalled_ms or 0.0)), 3)
 
 
 def rest(truth, struck):

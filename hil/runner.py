@@ -43,8 +43,6 @@ class Play:
         self.foreign_hz = 0.0
         self.packets = None
         self.packets_hz = 0.0
-        # How long the machine itself was kept from running at worst.
-        self.stalled_ms = None
         # What weighs on the computer, to be taken off again; a small disk that is mounted.
         self.burdens = []
         self.began = time.monotonic()
@@ -248,7 +246,7 @@ def run_one(scenario, bus, binary, folder):
             ends = play.clean_up()
         finally:
             recorder.end()
-            play.stalled_ms = pulse.end()
+            stalled_ms = pulse.end()
     try:
         result = judge.judge(play, ends, broken)
     except (KeyError, TypeError, ValueError) as error:
@@ -258,7 +256,7 @@ def run_one(scenario, bus, binary, folder):
             "passed": False,
             "failures": [f"cannot be judged: {type(error).__name__}: {error}", *filter(None, [broken])],
         }
-    result["stalled_ms"] = play.stalled_ms
+    result["stalled_ms"] = stalled_ms
     result["wall_s"] = round(time.monotonic() - began, 2)
     (folder / "result.json").write_text(json.dumps(result, indent=1) + "\n")
     return result
