@@ -28,6 +28,7 @@ def judge(play, ends, broken):
         "daemon_ends": ends,
         "steps": play.done,
         "foreign_hz": play.foreign_hz,
+        "packets_hz": play.packets_hz,
         "load": play.load,
     }
     if broken:

@@ -1,8 +1,20 @@
-"""As much of MAVLink 2 as it takes to send the car somewhere else: COMMAND_INT with DO_REPOSITION."""
+"""As much of MAVLink 2 as it takes to send the car somewhere else (COMMAND_INT with DO_REPOSITION), and to
+flood its link.
 
+Usage, for a flood of its own process: mavlink.py PORT RATE; it ends when its input does, and says how many
+packets a second the kernel took.
+"""
+
+import ctypes
+import random
+import select
 import socket
 import struct
+import sys
+import time
 
+HEARTBEAT, HEARTBEAT_EXTRA = 0, 50
+COMMAND_LONG, COMMAND_LONG_EXTRA = 76, 152
 COMMAND_INT, COMMAND_INT_EXTRA = 75, 158
 DO_REPOSITION = 192
 LOCAL_ENU = 4
@@ -40,3 +52,84 @@ def reposition(x_m, y_m):
 def send(data, port):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.sendto(data, ("127.0.0.1", port))
+
+
+def noise(count=20, seed=1):
+    """Packets of all kinds: heartbeats of ever new stations, questions that have an answer, commands with
+    anything in them, frames with a wrong checksum, plain bytes. None of them can start a drive."""
+    chance = random.Random(seed)
+    made = []
+    for i in range(count):
+        kind = i % 5
+        if kind == 0:
+            beat = struct.pack("<IBBBBB", 0, 6, 8, 0, 4, 3)
+            made.append(message(HEARTBEAT, HEARTBEAT_EXTRA, beat))
+        elif kind == 1:
+            # REQUEST_MESSAGE of AUTOPILOT_VERSION.
+            ask = struct.pack("<7fHBBB", 148.0, 0, 0, 0, 0, 0, 0, 512, 1, 1, 0)
+            made.append(message(COMMAND_LONG, COMMAND_LONG_EXTRA, ask))
+        elif kind == 2:
+            # Numbers of commands that mean nothing.
+            command = chance.randrange(50_000, 60_000)
+            params = [chance.uniform(-1e6, 1e6) for _ in range(7)]
+            nonsense = struct.pack("<7fHBBB", *params, command, 1, 1, 0)
+            made.append(message(COMMAND_LONG, COMMAND_LONG_EXTRA, nonsense))
+        elif kind == 3:
+            frame = bytearray(reposition(1.0, 1.0))
+            frame[-1] ^= 0xFF
+            made.append(bytes(frame))
+        else:
+            made.append(chance.randbytes(chance.randrange(1, 280)))
+    return made
+
+
+class Packets:
+    """Many datagrams by one call of the kernel: in a guest a call costs more than the packet."""
+
+    class Part(ctypes.Structure):
+        _fields_ = [("base", ctypes.c_char_p), ("length", ctypes.c_size_t)]
+
+    class Header(ctypes.Structure):
+        # struct mmsghdr of a 64-bit Linux; the padding is the compiler's.
+        _fields_ = [
+            ("name", ctypes.c_void_p), ("name_length", ctypes.c_uint32),
+            ("parts", ctypes.c_void_p), ("count", ctypes.c_size_t),
+            ("control", ctypes.c_void_p), ("control_length", ctypes.c_size_t),
+            ("flags", ctypes.c_int), ("sent", ctypes.c_uint),
+        ]
+
+    def __init__(self, datagrams):
+        self.count = len(datagrams)
+        self.parts = (self.Part * self.count)(*((data, len(data)) for data in datagrams))
+        self.headers = (self.Header * self.count)()
+        size = ctypes.sizeof(self.Part)
+        for i, header in enumerate(self.headers):
+            header.parts = ctypes.addressof(self.parts) + i * size
+            header.count = 1
+        self.libc = ctypes.CDLL(None, use_errno=True)
+
+    def send(self, opened, most):
+        """How many of them were sent, `most` at most."""
+        most = min(most, self.count)
+        return max(0, self.libc.sendmmsg(opened.fileno(), self.headers, most, 0))
+
+
+def flood(port, rate_hz):
+    packets = Packets(noise())
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.connect(("127.0.0.1", port))
+    began, sent = time.monotonic(), 0
+    while not select.select([sys.stdin], [], [], 0.002)[0]:
+        # What could not be sent in time is not sent later all at once.
+        due = int((time.monotonic() - began) * rate_hz)
+        left = min(due - sent, rate_hz // 20)
+        while left > 0:
+            done = packets.send(opened, left)
+            if not done:
+                break
+            sent, left = sent + done, left - done
+    print(sent / (time.monotonic() - began))
+
+
+if __name__ == "__main__":
+    flood(int(sys.argv[1]), int(sys.argv[2]))

@@ -18,7 +18,7 @@ from pathlib import Path
 import judge
 import mavlink
 import scenario as scenarios
-from stage import Broken, Bus, Hog, Process, Pulse, Recorder, StoppedThread, Truth, call
+from stage import Broken, Bus, Hog, PacketFlood, Process, Pulse, Recorder, StoppedThread, Truth, call
 
 POLL_S = 0.01
 # The daemon has this long from its start until the car moves.
@@ -41,6 +41,8 @@ class Play:
         # What was done when: the step's words, the car's time, its speed.
         self.done = []
         self.foreign_hz = 0.0
+        self.packets = None
+        self.packets_hz = 0.0
         # What weighs on the computer, to be taken off again; a small disk that is mounted.
         self.burdens = []
         self.began = time.monotonic()
@@ -90,7 +92,7 @@ class Play:
             goal = s.daemon.get("goal", world["goal"])
             command += ["--goal=" + ",".join(f"{value:.6f}" for value in goal)]
         command += ["--set", f"speed.speed_max_mps={s.speed_mps}"]
-        if any(step.do == "goal" for step in s.steps):
+        if any(step.do in ("goal", "mavlink flood") for step in s.steps):
             command += ["--set", f"mavlink.links=udpin:127.0.0.1:{PORT}"]
         for setting in s.daemon.get("set", []):
             command += ["--set", setting]
@@ -145,6 +147,10 @@ class Play:
         elif do == "goal":
             x, y = map(float, value.split())
             mavlink.send(mavlink.reposition(x, y), PORT)
+        elif do == "mavlink flood":
+            self.packets = PacketFlood(PORT, value)
+        elif do == "mavlink calm":
+            self.end_packets()
         elif do == "clock":
             time.clock_settime(time.CLOCK_REALTIME, time.time() + value)
         self.done.append(
@@ -202,12 +208,18 @@ class Play:
             if waited > s.limit_s:
                 return
 
+    def end_packets(self):
+        if self.packets:
+            self.packets_hz = self.packets.end()
+            self.packets = None
+
     def clean_up(self):
         """Ends what runs; returns how the daemons ended."""
         spent = {"car": self.car.cpu_s() if self.car else None, "runner": time.process_time() - self.cpu_began}
         wall = time.monotonic() - self.began
         self.load = {name: round(cpu / wall, 3) for name, cpu in spent.items() if cpu is not None}
         self.foreign_hz = self.bus.calm()
+        self.end_packets()
         for burden in self.burdens:
             burden.end()
         ends = [daemon.end() for daemon in self.daemons]

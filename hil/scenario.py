@@ -29,6 +29,9 @@ ACTIONS = {
     "stop thread": str,
     # A goal by MAVLink, x and y in the map frame.
     "goal": str,
+    # Packets a second on the daemon's MAVLink link, of all kinds.
+    "mavlink flood": int,
+    "mavlink calm": None,
     # Seconds by which the machine's clock is set forward.
     "clock": float,
     "fill disk": None,

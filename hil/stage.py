@@ -221,6 +221,26 @@ while True:
         self.child.wait()
 
 
+class PacketFlood:
+    """Packets of all kinds on the daemon's MAVLink link, from a process of its own."""
+
+    PROGRAM = Path(__file__).parent / "mavlink.py"
+
+    def __init__(self, port, rate_hz):
+        self.child = subprocess.Popen(
+            # Car and runner are not to wait for it.
+            ["nice", "-n", "19", sys.executable, str(self.PROGRAM), str(port), str(rate_hz)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def end(self):
+        """How many packets a second were sent."""
+        output, _ = self.child.communicate("\n", timeout=20)
+        return round(float(output), 1)
+
+
 class Pulse:
     """Feels how punctual the machine itself is: a program that goes before everything else on it
     sleeps 5 ms at a time and notes by how much it woke too late. No control tick can be more punctual;

@@ -28,6 +28,7 @@ mod obstacles;
 mod outbox;
 mod parameters;
 mod places;
+mod said_places;
 mod service;
 mod settings;
 mod streams;
@@ -45,6 +46,7 @@ pub use mission::Mission;
 pub use modes::{Mode, ModeFault};
 pub use outbox::{ChannelId, Outbox, Peer, RequestId, To};
 pub use parameters::{KEPT as KEPT_PARAMETERS, Parameters};
+pub use said_places::SAID_PLACES;
 pub use service::{Keeper, Service};
 pub use settings::{Identity, KeySetup, MavlinkParams, StationLost, Unsigned};
 pub use streams::{Interval, IntervalFault};
@@ -55,6 +57,7 @@ use std::sync::Arc;
 
 use channels::Channels;
 use commander::{Commander, Scope, acknowledge_raw};
+use said_places::SaidPlaces;
 use telemetry::Facts;
 
 use crate::frames::Point;
@@ -114,6 +117,9 @@ pub struct Ground {
     view: Option<(Instant, CoreView)>,
     origin: Option<Origin>,
     home: Option<Home>,
+    /// What of the two stations have said, and who keeps it.
+    said: SaidPlaces,
+    place_keeper: Option<Box<dyn Keeper>>,
     unix_us: Option<(Instant, u64)>,
     next_heartbeat: Instant,
     next_time: Instant,
@@ -127,10 +133,7 @@ pub struct Ground {
 impl Ground {
     /// A vehicle that nobody talks to yet.
     pub fn new(params: MavlinkParams, services: Vec<Box<dyn Service>>) -> Self {
-        let place = Geodetic::checked(params.origin_latitude_deg, params.origin_longitude_deg);
-        let origin = place
-            .filter(|_| params.origin_known)
-            .map(|place| Origin { place, altitude_m: params.origin_altitude_m });
+        let origin = configured_origin(&params);
         Self {
             params,
             channels: Channels::default(),
@@ -140,6 +143,8 @@ impl Ground {
             view: None,
             origin,
             home: None,
+            said: SaidPlaces::default(),
+            place_keeper: None,
             unix_us: None,
             next_heartbeat: Instant::ZERO,
             next_time: Instant::ZERO,
@@ -148,6 +153,25 @@ impl Ground {
             station_lost: false,
             lost_request: None,
         }
+    }
+
+    /// Takes up what stations said of origin and home before a restart, a text that `keeper` kept
+    /// under [`SAID_PLACES`], and keeps what they will say.
+    ///
+    /// # Errors
+    /// What is wrong with the text; then nothing of it is taken up.
+    pub fn keep_places(
+        &mut self,
+        keeper: Option<Box<dyn Keeper>>,
+        kept: Option<&str>,
+    ) -> Result<(), String> {
+        self.place_keeper = keeper;
+        let configured = configured_origin(&self.params);
+        let said = kept.map(|text| SaidPlaces::of_text(text, configured)).transpose()?;
+        self.said = said.unwrap_or_default();
+        self.origin = self.said.origin.or(self.origin);
+        self.home = self.said.home.or(self.home);
+        Ok(())
     }
 
     /// Number of this system.
@@ -311,6 +335,10 @@ impl Ground {
                 self.out.say(MavSeverity::MAV_SEVERITY_INFO, "Goal reached");
             }
             CoreEvent::ModeChanged { to } => {
+                // The next view is a while away, and until then a mode would be shown that is over.
+                if let Some((_, view)) = &mut self.view {
+                    view.mode = *to;
+                }
                 if *to == CoreMode::Terminated {
                     let text = "Terminated: the car stands until the next start";
                     self.out.say(MavSeverity::MAV_SEVERITY_CRITICAL, text);
@@ -400,20 +428,31 @@ impl Ground {
     }
 
     fn command(&mut self, now: Instant, from: Peer, wanted: Wanted) {
-        if self.commander.is_repetition(now, from, &wanted, &mut self.out) {
+        // A message that is asked for again was not heard, whatever became of the answer.
+        let asks = self.asked_message(&wanted).is_some();
+        if !asks && self.commander.is_repetition(now, from, &wanted, &mut self.out) {
             return;
         }
         let step = self.step(now, from, &wanted);
+        let places = step.is_ok()
+            && matches!(
+                wanted.command,
+                MavCmd::MAV_CMD_DO_SET_HOME | MavCmd::MAV_CMD_DO_SET_GLOBAL_ORIGIN
+            );
+        if places {
+            match wanted.command {
+                MavCmd::MAV_CMD_DO_SET_HOME => self.said.home = self.home,
+                _ => self.said.origin = self.origin,
+            }
+            self.keep_said();
+        }
         // The order matters to ground stations: first the acknowledgement, then the message.
         let asked = step.is_ok().then(|| self.asked_message(&wanted)).flatten();
         self.commander.proceed(now, Some(from), wanted, step, &mut self.out);
         if let Some((id, which)) = asked {
             self.send_message(now, from, id, which);
         }
-        if matches!(
-            wanted.command,
-            MavCmd::MAV_CMD_DO_SET_HOME | MavCmd::MAV_CMD_DO_SET_GLOBAL_ORIGIN
-        ) {
+        if places {
             self.show_places(now);
         }
         self.show_changes(now);
@@ -551,16 +590,30 @@ impl Ground {
     }
 
     fn set_origin(&mut self, now: Instant, data: &c::SET_GPS_GLOBAL_ORIGIN_DATA) {
-        match Geodetic::from_e7(data.latitude, data.longitude) {
-            Some(place) => {
-                let altitude_m = f64::from(data.altitude) * 1e-3;
+        let altitude_m = f64::from(data.altitude) * 1e-3;
+        let place = Geodetic::from_e7(data.latitude, data.longitude)
+            .ok_or_else(|| Denial::denied("no place on the earth"))
+            .and_then(|place| places::checked_altitude(altitude_m).map(|()| place));
+        match place {
+            Ok(place) => {
                 self.origin = Some(Origin { place, altitude_m });
+                self.said.origin = self.origin;
+                self.keep_said();
                 self.show_places(now);
             }
-            None => {
-                let text = "SET_GPS_GLOBAL_ORIGIN refused: no place on the earth";
-                self.out.say(MavSeverity::MAV_SEVERITY_WARNING, text);
+            Err(denial) => {
+                let text = format!("SET_GPS_GLOBAL_ORIGIN refused: {}", denial.reason);
+                self.out.say(MavSeverity::MAV_SEVERITY_WARNING, &text);
             }
+        }
+    }
+
+    fn keep_said(&mut self) {
+        let Some(keeper) = &mut self.place_keeper else { return };
+        let text = self.said.text(configured_origin(&self.params));
+        if let Err(why) = keeper.keep(SAID_PLACES, &text) {
+            let text = format!("Origin and home are in force, but not kept: {why}");
+            self.out.say(MavSeverity::MAV_SEVERITY_WARNING, &text);
         }
     }
 
@@ -708,6 +761,14 @@ impl Ground {
 /// The view, if it is not too old.
 fn fresh(view: &Option<(Instant, CoreView)>, now: Instant) -> Option<&CoreView> {
     view.as_ref().filter(|(at, _)| now.since(*at) < VIEW_LIFE).map(|(_, view)| view)
+}
+
+/// Where the configuration says that the map lies.
+fn configured_origin(params: &MavlinkParams) -> Option<Origin> {
+    let place = Geodetic::checked(params.origin_latitude_deg, params.origin_longitude_deg);
+    place
+        .filter(|_| params.origin_known)
+        .map(|place| Origin { place, altitude_m: params.origin_altitude_m })
 }
 
 fn mission_start() -> Wanted {

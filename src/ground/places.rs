@@ -55,10 +55,16 @@ pub fn place_of_command(wanted: &Wanted) -> Result<(Geodetic, f64), Denial> {
         Some((frame, ..)) => return Err(Denial::wrong_frame(frame)),
     };
     let place = place.ok_or_else(|| Denial::denied("the position is no place on the earth"))?;
-    if !(-500.0..=9000.0).contains(&altitude_m) {
-        return Err(Denial::denied(format!("a height of {altitude_m} m, allowed is -500 to 9000")));
-    }
+    checked_altitude(altitude_m)?;
     Ok((place, altitude_m))
+}
+
+/// Refuses a height above the sea that is none, metres.
+pub fn checked_altitude(altitude_m: f64) -> Result<(), Denial> {
+    if (-500.0..=9000.0).contains(&altitude_m) {
+        return Ok(());
+    }
+    Err(Denial::denied(format!("a height of {altitude_m} m, allowed is -500 to 9000")))
 }
 
 /// The goal in a local setpoint.
@@ -113,7 +119,8 @@ fn on_earth(place: Option<Geodetic>, origin: Option<&Origin>) -> Result<Point, D
     in_reach(origin.point_of(place))
 }
 
-fn in_reach(point: Point) -> Result<Point, Denial> {
+/// Refuses a point of the map frame that is further away than any the car can mean.
+pub fn in_reach(point: Point) -> Result<Point, Denial> {
     let distance_m = point.coords.norm();
     if distance_m <= REACH_M {
         return Ok(point);

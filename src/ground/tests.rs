@@ -385,6 +385,83 @@ fn a_goal_on_the_earth_needs_an_origin() {
     assert!((point - Point::new(0.0, 10.0)).norm() < 0.5, "{point}");
 }
 
+/// Keeps texts where a test can see them, or refuses to.
+#[derive(Clone, Default)]
+struct Drawer(std::sync::Arc<std::sync::Mutex<(Option<String>, bool)>>);
+
+impl Keeper for Drawer {
+    fn keep(&mut self, name: &str, text: &str) -> Result<(), String> {
+        assert_eq!(name, SAID_PLACES);
+        let mut drawer = self.0.lock().unwrap();
+        if drawer.1 {
+            return Err("the disk is full".into());
+        }
+        drawer.0 = Some(text.into());
+        Ok(())
+    }
+}
+
+#[test]
+fn origin_and_home_that_a_station_set_outlast_a_restart() {
+    let drawer = Drawer::default();
+    let kept = || drawer.0.lock().unwrap().0.clone();
+    let start = |params: MavlinkParams| {
+        let mut talk = Talk::with(params);
+        let text = kept();
+        talk.ground.keep_places(Some(Box::new(drawer.clone())), text.as_deref()).unwrap();
+        talk
+    };
+    let mut talk = start(MavlinkParams::default());
+    assert_eq!(kept(), None, "nothing was said");
+    let refused = [0.0, 0.0, 0.0, 0.0, 95.0, 8.5, 0.0];
+    assert_ne!(talk.ack(MavCmd::MAV_CMD_DO_SET_GLOBAL_ORIGIN, refused), R::MAV_RESULT_ACCEPTED);
+    assert_eq!(kept(), None, "what was refused is not kept");
+    let origin = c::SET_GPS_GLOBAL_ORIGIN_DATA {
+        latitude: 473_977_420,
+        longitude: 85_455_940,
+        altitude: 488_000,
+        ..Default::default()
+    };
+    talk.hear(&MavMessage::SET_GPS_GLOBAL_ORIGIN(origin));
+    let home_at = |x, y| {
+        let local = MavFrame::MAV_FRAME_LOCAL_NED;
+        let data = int(MavCmd::MAV_CMD_DO_SET_HOME, local, x, y);
+        MavMessage::COMMAND_INT(COMMAND_INT_DATA { param1: 0.0, ..data })
+    };
+    let sent = talk.hear(&home_at(70_000, -30_000));
+    assert_eq!(result(&sent), R::MAV_RESULT_ACCEPTED);
+
+    let mut talk = start(MavlinkParams::default());
+    let sent = talk.long(MavCmd::MAV_CMD_GET_HOME_POSITION, [0.0; 7]);
+    let home = sent.iter().find_map(|message| match message {
+        MavMessage::HOME_POSITION(home) => Some(home.clone()),
+        _ => None,
+    });
+    let home = home.expect("an origin is known, so home has a place on the earth");
+    assert_eq!((home.x, home.y, home.altitude), (7.0, -3.0, 488_000));
+    assert_eq!(talk.ack(MavCmd::MAV_CMD_NAV_RETURN_TO_LAUNCH, [0.0; 7]), R::MAV_RESULT_ACCEPTED);
+    let [CoreRequest::Goto { point, .. }] = talk.asked[..] else { panic!("{:?}", talk.asked) };
+    assert_eq!(point, Point::new(-3.0, 7.0));
+
+    // A word of the configuration that is newer than the station's counts.
+    let newer =
+        MavlinkParams { origin_known: true, origin_latitude_deg: 12.0, ..MavlinkParams::default() };
+    let mut talk = start(newer);
+    let sent = talk.long(MavCmd::MAV_CMD_GET_HOME_POSITION, [0.0; 7]);
+    let north = sent.iter().find_map(|message| match message {
+        MavMessage::HOME_POSITION(home) => Some(home.latitude),
+        _ => None,
+    });
+    assert_eq!(north.expect("a home") / 1_000_000, 120);
+
+    // What cannot be kept is in force all the same, and the station is told.
+    drawer.0.lock().unwrap().1 = true;
+    let sent = talk.hear(&home_at(10_000, 10_000));
+    assert_eq!(result(&sent), R::MAV_RESULT_ACCEPTED);
+    assert!(texts(&sent).contains("the disk is full"), "{}", texts(&sent));
+    assert!(Talk::new().ground.keep_places(None, Some("nonsense")).is_err());
+}
+
 #[test]
 fn a_goal_without_a_position_means_here() {
     let mut talk = Talk::new();
@@ -546,6 +623,40 @@ fn termination_and_restart_are_asked_for_only_in_earnest() {
     assert_eq!(talk.ack(terminate, [0.0; 7]), R::MAV_RESULT_DENIED);
     assert_eq!(talk.ack(reboot, [1.0, 0., 0., 0., 0., 0., 0.]), R::MAV_RESULT_ACCEPTED);
     assert_eq!(talk.asked[1..], [CoreRequest::Restart]);
+}
+
+#[test]
+fn a_drive_that_has_ended_is_not_shown_until_the_next_view() {
+    let mut talk = Talk::new();
+    let sent = talk.long(MavCmd::MAV_CMD_DO_SET_MODE, [1.0, 15.0, 0., 0., 0., 0., 0.]);
+    assert_eq!(result(&sent), R::MAV_RESULT_ACCEPTED);
+    talk.mode = CoreMode::Drive;
+    talk.look();
+    talk.drain();
+    talk.ground.handle_event(talk.now, &CoreEvent::ModeChanged { to: CoreMode::Standby });
+    talk.ack(MavCmd::MAV_CMD_DO_SET_MODE, [1.0, 4.0, 0., 0., 0., 0., 0.]);
+    // Chosen is to hold, and there is nothing that says otherwise.
+    talk.now = talk.now.offset_by(0.02);
+    talk.ground.handle_time(talk.now);
+    let modes: Vec<_> = heartbeats(&talk.drain()).iter().map(|beat| beat.custom_mode).collect();
+    assert!(modes.iter().all(|mode| *mode == 4), "{modes:?}");
+    talk.ground.handle_channel_open(talk.now, ChannelId(7), ChannelInfo::default());
+    talk.ground.handle_time(talk.now);
+    let modes: Vec<_> = heartbeats(&talk.drain()).iter().map(|beat| beat.custom_mode).collect();
+    assert_eq!(modes, [4]);
+}
+
+#[test]
+fn a_message_that_is_asked_for_again_is_sent_again() {
+    let mut talk = Talk::new();
+    let mut request = long(MavCmd::MAV_CMD_REQUEST_MESSAGE, [148.0, 0., 0., 0., 0., 0., 0.]);
+    // Answer and message were lost on their way.
+    for confirmation in 0..3 {
+        request.confirmation = confirmation;
+        let sent = talk.hear(&MavMessage::COMMAND_LONG(request.clone()));
+        assert_eq!(result(&sent), R::MAV_RESULT_ACCEPTED);
+        assert!(sent.iter().any(|message| matches!(message, MavMessage::AUTOPILOT_VERSION(_))));
+    }
 }
 
 #[test]

@@ -6,7 +6,6 @@ Needs the release build of apexd (APEXD_BINARY names another one).
 import json
 import math
 import os
-import re
 import struct
 import tempfile
 import time
@@ -18,6 +17,7 @@ os.environ["MAVLINK20"] = "1"
 from pymavlink import mavftp  # noqa: E402
 from pymavlink.dialects.v20 import all as mavlink  # noqa: E402
 
+from metadata_schema import check_general, check_parameters, crc32  # noqa: E402
 from test_pymavlink import ACCEPTED, Station  # noqa: E402
 from vehicle import Vehicle  # noqa: E402
 
@@ -30,18 +30,6 @@ WAYPOINT = mavlink.MAV_CMD_NAV_WAYPOINT
 REAL = mavlink.MAV_PARAM_TYPE_REAL32
 INT = mavlink.MAV_PARAM_TYPE_INT32
 
-# What MAVLink's component_metadata/*.schema.json (draft 7, no further properties) ask of each entry,
-# written down by hand: property -> type. The parameter schema's `version` is left out on purpose: it
-# asks for 2 or more, and QGroundControl reads nothing but 1.
-GENERAL_ENTRY = {"type": int, "uri": str, "fileCrc": int}
-PARAMETER = {
-    "name": str, "type": str, "shortDesc": str, "longDesc": str, "units": str,
-    "default": (int, float), "decimalPlaces": int, "min": (int, float), "max": (int, float),
-    "increment": (int, float), "rebootRequired": bool, "group": str, "category": str,
-    "volatile": bool, "values": list, "bitmask": list,
-}
-TYPES = {"Uint8", "Int8", "Uint16", "Int16", "Uint32", "Int32", "Float"}
-
 
 def bytewise(value):
     return struct.unpack("<f", struct.pack("<i", value))[0]
@@ -51,16 +39,6 @@ def plain(message):
     if message.param_type == INT:
         return struct.unpack("<i", struct.pack("<f", message.param_value))[0]
     return message.param_value
-
-
-def crc32(data):
-    """MAVLink's: reflected, nothing inverted."""
-    crc = 0
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc >> 1) ^ (0xEDB88320 if crc & 1 else 0)
-    return crc
 
 
 class Services(unittest.TestCase):
@@ -271,6 +249,29 @@ class Services(unittest.TestCase):
         self.assertEqual(self.next("MISSION_ACK").type, DONE)
         self.assertEqual(self.download(FENCE), [])
 
+    # ---- places
+
+    def place_of(self, kind):
+        self.station.last.pop(kind, None)
+        number = {"HOME_POSITION": 242, "GPS_GLOBAL_ORIGIN": 49}[kind]
+        self.insist(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
+        self.station.await_(lambda: kind in self.station.last, kind)
+        return self.station.last[kind]
+
+    def test_origin_and_home_outlast_a_restart(self):
+        self.station.link.mav.set_gps_global_origin_send(1, 473977420, 85455940, 488000)
+        self.station.await_(lambda: "GPS_GLOBAL_ORIGIN" in self.station.last, "origin")
+        result = self.station.int(
+            mavlink.MAV_CMD_DO_SET_HOME, LOCAL, 40000, 60000, params=(0, 0, 0, 0))
+        self.assertEqual(result, ACCEPTED)
+        self.restart()
+        origin = self.place_of("GPS_GLOBAL_ORIGIN")
+        self.assertEqual(
+            (origin.latitude, origin.longitude, origin.altitude), (473977420, 85455940, 488000))
+        home = self.place_of("HOME_POSITION")
+        self.assertEqual((home.x, home.y), (4.0, 6.0))
+        self.station.await_(lambda: "GLOBAL_POSITION_INT" in self.station.last, "position")
+
     # ---- files
 
     def metadata(self):
@@ -316,28 +317,11 @@ class Services(unittest.TestCase):
         general_bytes = get_again(metadata_uri.removeprefix("mftp://"))
         self.assertEqual(crc32(general_bytes), metadata_crc)
         general = json.loads(general_bytes)
-        self.assertEqual(set(general), {"version", "metadataTypes"})
-        self.assertGreaterEqual(general["version"], 1)
-        [entry] = general["metadataTypes"]
-        for key, value in entry.items():
-            self.assertIsInstance(value, GENERAL_ENTRY[key])
-        self.assertEqual(entry["type"], 1)
+        entry = check_general(self, general)
         parameter_bytes = get_again(entry["uri"].removeprefix("mftp://"))
         self.assertEqual(crc32(parameter_bytes), entry["fileCrc"])
         parameters = json.loads(parameter_bytes)
-        self.assertEqual(set(parameters), {"version", "parameters"})
-        self.assertEqual(parameters["version"], 1)
-        for row in parameters["parameters"]:
-            for key, value in row.items():
-                self.assertIsInstance(value, PARAMETER[key], (row, key))
-            self.assertRegex(row["name"], re.compile(r"^[.\-a-zA-Z0-9_{}]{1,16}$"))
-            self.assertIn(row["type"], TYPES)
-            self.assertGreaterEqual(row.get("decimalPlaces", 0), 0)
-            for value in row.get("values", []):
-                self.assertEqual(set(value), {"value", "description"})
-                self.assertIsInstance(value["value"], (int, float))
-                self.assertIsInstance(value["description"], str)
-        names = {row["name"] for row in parameters["parameters"]}
+        names = check_parameters(self, parameters)
         self.assertEqual(names, set(self.read_all()))
 
 

@@ -16,6 +16,10 @@ def free_port(kind=socket.SOCK_DGRAM):
         return probe.getsockname()[1]
 
 
+def binary():
+    return str(os.environ.get("APEXD_BINARY", ROOT / "target/release/apexd"))
+
+
 def write_hall(folder):
     """A hall of 14 m by 8 m with a wall across it that leaves 3 m, as a map_server map."""
     cell = 0.1
@@ -41,9 +45,8 @@ class Vehicle:
 
     def __init__(self, folder, *arguments):
         self.port = free_port()
-        binary = os.environ.get("APEXD_BINARY", ROOT / "target/release/apexd")
         command = [
-            str(binary), "sil", "--mavlink", f"udpin:127.0.0.1:{self.port}", "--json",
+            binary(), "sil", "--mavlink", f"udpin:127.0.0.1:{self.port}", "--json",
             "--out", str(Path(folder) / "report"), "--predictor", "none",
             "--map", str(write_hall(folder)), "--start", "2,3,0", *arguments,
         ]

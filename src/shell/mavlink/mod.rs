@@ -101,7 +101,8 @@ impl Mavlink {
             }
             Ok::<(), LinkError>(())
         })?;
-        let ground = Ground::new(params.clone(), joined.services);
+        let mut ground = Ground::new(params.clone(), joined.services);
+        services::keep_places(&mut ground, state_directory);
         let hub = Hub::new(ground, joined.seam, joined.start, keys, params.unsigned, joined.ender);
         let counts = Arc::clone(&hub.counts);
         let (stop, stopped) = oneshot::channel();

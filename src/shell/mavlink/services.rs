@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::keys::replace;
 use super::shelf::Folders;
-use crate::ground::{Ftp, Keeper, Mission, Parameters, Service};
+use crate::ground::{Ftp, Ground, Keeper, Mission, Parameters, SAID_PLACES, Service};
 use crate::params::Params;
 use crate::shell::configuration;
 
@@ -16,21 +16,33 @@ const KEPT_BYTES_MAX: u64 = 1 << 20;
 
 /// Parameters, missions and files; what is to outlast a restart goes into the state directory.
 pub fn services(params: &Params, state_directory: Option<&Path>) -> Vec<Box<dyn Service>> {
-    let keeper = || {
-        let folder = state_directory?.to_owned();
-        Some(Box::new(Files { folder }) as Box<dyn Keeper>)
-    };
-    let kept_text = |name: &str| {
-        let path = state_directory?.join(name);
-        let short = fs::metadata(&path).ok()?.len() <= KEPT_BYTES_MAX;
-        fs::read_to_string(&path).ok().filter(|_| short)
-    };
+    let keeper = || keeper(state_directory);
+    let kept_text = |name: &str| kept_text(state_directory, name);
     let system = params.mavlink.system_id as u8;
     vec![
         Box::new(Parameters::new(params, configuration::kept(state_directory), keeper())),
         Box::new(Mission::new(system, keeper(), kept_text)),
         Box::new(Ftp::new(Box::new(Folders::new(state_directory.map(|state| state.join(LOGS)))))),
     ]
+}
+
+/// Lets the vehicle take up what stations said of origin and home before, and keep it.
+pub fn keep_places(ground: &mut Ground, state_directory: Option<&Path>) {
+    let kept = kept_text(state_directory, SAID_PLACES);
+    if let Err(fault) = ground.keep_places(keeper(state_directory), kept.as_deref()) {
+        tracing::warn!("{SAID_PLACES} in the state directory is passed over: {fault}");
+    }
+}
+
+fn keeper(state_directory: Option<&Path>) -> Option<Box<dyn Keeper>> {
+    let folder = state_directory?.to_owned();
+    Some(Box::new(Files { folder }))
+}
+
+fn kept_text(state_directory: Option<&Path>, name: &str) -> Option<String> {
+    let path = state_directory?.join(name);
+    let short = fs::metadata(&path).ok()?.len() <= KEPT_BYTES_MAX;
+    fs::read_to_string(&path).ok().filter(|_| short)
 }
 
 /// Files in the state directory, each replaced as a whole.
