@@ -16,15 +16,17 @@ use crate::time::Instant;
 use crate::vehicle::VehicleParams;
 use crate::wire::can::{CarHeartbeat, INTERFACE_VERSION, WireError};
 
-/// How a CAN controller takes part in the traffic.
+/// How a CAN controller takes part in the traffic: its state of error confinement (ISO 11898-1), the
+/// worse the later.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BusState {
     /// It sends, receives and marks errors.
     #[default]
     Active,
-    /// After many errors: it may no longer mark errors of others, and waits longer.
+    /// After many errors (a counter has reached 128): it may no longer mark errors of others, and
+    /// waits longer.
     Passive,
-    /// After too many errors: it takes no part any more.
+    /// After too many errors in sending, or with its interface down: it takes no part any more.
     Off,
 }
 

@@ -14,7 +14,7 @@ use super::seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request};
 use super::statistics::{Frames, Statistics, Summary};
 use super::timing::Timing;
 use super::worker::{Finished, PlanningParams, Worker};
-use crate::autopilot::{self, Autopilot, BusHealth, Command, Event, HostHealth, Mode};
+use crate::autopilot::{Autopilot, BusHealth, Command, Event, HostHealth, Mode};
 use crate::frames::Point;
 use crate::params::Params;
 use crate::shell::can::{BusState, Received, SendFault};
@@ -286,12 +286,8 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     fn report_bus(&mut self, now: Instant) {
         let statistics = self.link.statistics();
-        let state = match statistics.state {
-            _ if self.deaf_until.is_some() => autopilot::BusState::Off,
-            BusState::Active => autopilot::BusState::Active,
-            BusState::Passive => autopilot::BusState::Passive,
-            BusState::Off => autopilot::BusState::Off,
-        };
+        let deaf = self.deaf_until.is_some();
+        let state = if deaf { BusState::Off } else { statistics.state };
         let error_frames = statistics.error_frames;
         let health = BusHealth { state, error_frames, frames_unsent: self.unsent };
         self.core.handle_bus_health(now, health);
