@@ -21,6 +21,8 @@ pub struct Flag {
 
 /// What ground stations set is kept in this file of the state directory.
 const KEPT: &str = crate::ground::KEPT_PARAMETERS;
+/// The folder of the state directory that logs are in.
+const LOGS: &str = "logs";
 
 /// Defaults, file, what ground stations set, environment, `--set` and options, each over the one
 /// before.
@@ -111,6 +113,15 @@ pub fn state_directory(params: &Params, environment: &[(OsString, OsString)]) ->
     let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
     let first = value.to_str()?.split(':').next()?;
     (!first.is_empty()).then(|| first.into())
+}
+
+/// The folder of logs, if there is to be one.
+pub fn log_directory(params: &Params, state_directory: Option<&Path>) -> Option<PathBuf> {
+    let configured = &params.daemon.log_directory;
+    if !configured.is_empty() {
+        return Some(configured.into());
+    }
+    state_directory.map(|state| state.join(LOGS))
 }
 
 /// A file by itself.

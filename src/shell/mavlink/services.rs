@@ -9,8 +9,6 @@ use crate::ground::{Ftp, Keeper, Mission, Parameters, Service};
 use crate::params::Params;
 use crate::shell::configuration;
 
-/// The folder of the state directory that logs are in.
-const LOGS: &str = "logs";
 /// A kept file that is longer than this is none of ours, bytes.
 const KEPT_BYTES_MAX: u64 = 1 << 20;
 
@@ -29,7 +27,10 @@ pub fn services(params: &Params, state_directory: Option<&Path>) -> Vec<Box<dyn 
     vec![
         Box::new(Parameters::new(params, configuration::kept(state_directory), keeper())),
         Box::new(Mission::new(system, keeper(), kept_text)),
-        Box::new(Ftp::new(Box::new(Folders::new(state_directory.map(|state| state.join(LOGS)))))),
+        Box::new(Ftp::new(Box::new(Folders::new(configuration::log_directory(
+            params,
+            state_directory,
+        ))))),
     ]
 }
 

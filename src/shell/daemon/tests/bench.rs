@@ -13,6 +13,7 @@ use crate::autopilot::Autopilot;
 use crate::frames::{Point, Pose};
 use crate::params::Params;
 use crate::plan::{PlanRequest, Planning};
+use crate::record::{Header, Readings, Source, params_text};
 use crate::shell::can::{BusState, CanLinkError, LinkStatistics, Received, SendFault};
 use crate::shell::daemon::control::{Control, Order, Outside, Pulse, Task, Word};
 use crate::shell::daemon::link::Link;
@@ -20,6 +21,7 @@ use crate::shell::daemon::seam::Seam;
 use crate::shell::daemon::statistics::Summary;
 use crate::shell::daemon::timing::Timing;
 use crate::shell::daemon::worker::{self, Finished, PlanningParams, Worker};
+use crate::shell::logbook::{Logbook, Place};
 use crate::sim::account::Account;
 use crate::sim::bus::{BusParams, NodeId};
 use crate::sim::car_end::{CarEnd, CarEndSetup};
@@ -239,6 +241,8 @@ pub struct Setup {
     /// Send the car to the maze's goal.
     pub to_goal: bool,
     pub faults: FaultPlan,
+    /// Write the drive down there.
+    pub record: Option<Place>,
 }
 
 impl Default for Setup {
@@ -253,6 +257,7 @@ impl Default for Setup {
             task: Task { time_limit_s: Some(120.0), ..Task::default() },
             to_goal: true,
             faults: FaultPlan::default(),
+            record: None,
         }
     }
 }
@@ -268,7 +273,7 @@ pub fn run<F: Future<Output = ()>>(
         .build()
         .unwrap();
     runtime.block_on(async {
-        let Setup { params, trouble, mut task, to_goal, faults } = setup;
+        let Setup { params, trouble, mut task, to_goal, faults, record } = setup;
         let maze = maze::generate(Family::Thin, 3, 0.1).unwrap();
         if to_goal {
             task.goal = Some(maze.goal);
@@ -308,8 +313,24 @@ pub fn run<F: Future<Output = ()>>(
         let news = Rc::new(Notify::new());
         let planning =
             PlanningParams { planner: params.planner(), predict: params.predict.clone() };
+        let readings = Readings::default();
+        let logbook = record.map(|place| {
+            let header = Header {
+                build: "test".into(),
+                source: Source::Run,
+                begun_utc: "20260131T235959Z".into(),
+                made: timing.now(),
+                start,
+                goal: task.goal,
+                seed: 0,
+                params: params_text(&params),
+                network: String::new(),
+                part: 1,
+            };
+            Logbook::begin(place, header, None).unwrap()
+        });
         let worker = InlineWorker {
-            planner: worker::build(&planning).unwrap().planner,
+            planner: worker::build(&planning, &readings).unwrap().planner,
             latency: Duration::from_millis(8),
             trouble,
             steps: 0,
@@ -325,8 +346,12 @@ pub fn run<F: Future<Output = ()>>(
             words: say,
             pulse: Arc::clone(&pulse),
             log_dropped: Box::new(|| 0),
+            recorder: logbook.as_ref().map(|logbook| logbook.recorder().clone()),
         };
-        let core = Autopilot::new(params.core(), Layout::Fd, start, timing.now());
+        let mut core = Autopilot::new(params.core(), Layout::Fd, start, timing.now());
+        if let Some(logbook) = &logbook {
+            core.set_witness(logbook.recorder().scribe(readings));
+        }
         let link = BenchLink { bench: Rc::clone(&bench), news: Rc::clone(&news) };
         let hands = Hands { bench: Rc::clone(&bench), orders, words, seam, pulse, goal: maze.goal };
         let control = Control::new(core, params, link, timing, worker, outside, task).run();
@@ -349,6 +374,9 @@ pub fn run<F: Future<Output = ()>>(
             summary = &mut control => summary,
             () = &mut beside => unreachable!("it waits for the loop"),
         };
+        if let Some(logbook) = logbook {
+            logbook.close().unwrap();
+        }
         (summary, Rc::clone(&bench))
     })
 }

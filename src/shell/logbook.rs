@@ -1,0 +1,331 @@
+//! Logs being written, by a thread of their own: whoever hands something over goes on at once.
+
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+
+use super::pace;
+use super::shelved::{self, Limits};
+use crate::map::Grid;
+use crate::params::Params;
+use crate::record::{Entry, Header, LogWriter, Readings, Scribe, params_text};
+use crate::time::{Duration, Instant};
+
+/// Pieces that may wait: two seconds of the busiest bus.
+const PIECES_MAX: usize = 8192;
+/// What waits is written at least this often.
+const FLUSH_PERIOD: Duration = Duration::from_millis(250);
+/// What is written is on the disk after so many of these periods: the least that a power cut leaves.
+const SYNC_FLUSHES: u32 = 20;
+
+/// Why a log is not written, or not any more.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write the log {}: {error}", path.display())]
+pub struct LogbookError {
+    /// Its file.
+    pub path: PathBuf,
+    /// Why.
+    pub error: io::Error,
+}
+
+/// Where a log goes.
+#[derive(Clone, Debug)]
+pub enum Place {
+    /// Into one file, whatever it takes: who writes waits for the disk.
+    File(PathBuf),
+    /// Into a folder of logs, in parts, the oldest ones making room; who writes never waits.
+    Folder(PathBuf, Limits),
+}
+
+enum Message {
+    Piece { missing: u64, at: Instant, entry: Entry },
+    Params { missing: u64, at: Instant, params: Arc<Params> },
+    End { missing: u64 },
+}
+
+/// A log being written.
+pub struct Logbook {
+    sender: SyncSender<Message>,
+    recorder: Recorder,
+    thread: JoinHandle<Result<(), LogbookError>>,
+    path: PathBuf,
+}
+
+/// Takes what is to be written.
+#[derive(Clone)]
+pub struct Recorder {
+    sender: SyncSender<Message>,
+    lossy: bool,
+    /// Pieces dropped since the last one that was not.
+    missing: Arc<AtomicU64>,
+    dropped: Arc<AtomicU64>,
+}
+
+impl Recorder {
+    /// A piece of the log.
+    pub fn note(&self, at: Instant, entry: Entry) {
+        let missing = self.missing.swap(0, Ordering::Relaxed);
+        self.send(missing, Message::Piece { missing, at, entry });
+    }
+
+    /// Other parameters.
+    pub fn note_params(&self, at: Instant, params: Arc<Params>) {
+        let missing = self.missing.swap(0, Ordering::Relaxed);
+        self.send(missing, Message::Params { missing, at, params });
+    }
+
+    /// The witness that writes down what happens to a core.
+    pub fn scribe(&self, readings: Readings) -> Box<Scribe<impl FnMut(Instant, Entry) + use<>>> {
+        let recorder = self.clone();
+        Box::new(Scribe::new(readings, move |at, entry| recorder.note(at, entry)))
+    }
+
+    /// Counts the pieces dropped so far.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    fn send(&self, missing: u64, message: Message) {
+        let sent = if self.lossy {
+            self.sender.try_send(message)
+        } else {
+            self.sender.send(message).map_err(|error| TrySendError::Disconnected(error.0))
+        };
+        if sent.is_err() {
+            self.missing.fetch_add(missing + 1, Ordering::Relaxed);
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Logbook {
+    /// Begins a log.
+    ///
+    /// # Errors
+    /// If its file cannot be written.
+    pub fn begin(place: Place, header: Header, truth: Option<Grid>) -> Result<Self, LogbookError> {
+        let lossy = matches!(place, Place::Folder(..));
+        let (sender, messages) = sync_channel(PIECES_MAX);
+        let recorder = Recorder {
+            sender: sender.clone(),
+            lossy,
+            missing: Arc::default(),
+            dropped: Arc::default(),
+        };
+        let mut writer = Writer::begin(place, header)?;
+        let path = writer.path.clone();
+        if let Some(truth) = truth {
+            writer.put(writer.made, &Entry::Truth(Box::new(truth)));
+        }
+        let thread = std::thread::Builder::new()
+            .name("apexd-record".into())
+            .spawn(move || writer.work(&messages))
+            .map_err(|error| LogbookError { path: path.clone(), error })?;
+        Ok(Self { sender, recorder, thread, path })
+    }
+
+    /// Takes what is to be written.
+    pub const fn recorder(&self) -> &Recorder {
+        &self.recorder
+    }
+
+    /// The file of its first part.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes what waits and ends the log.
+    ///
+    /// # Errors
+    /// If it, or something before, could not be written.
+    pub fn close(self) -> Result<(), LogbookError> {
+        // A thread that is gone has said why.
+        let missing = self.recorder.missing.swap(0, Ordering::Relaxed);
+        let _ = self.sender.send(Message::End { missing });
+        let dropped = self.recorder.dropped();
+        if dropped > 0 {
+            tracing::warn!("{dropped} pieces are missing in the log {}", self.path.display());
+        }
+        match self.thread.join() {
+            Ok(ended) => ended,
+            Err(_) => {
+                let error = io::Error::other("its thread has failed");
+                Err(LogbookError { path: self.path, error })
+            }
+        }
+    }
+}
+
+/// The thread's own side.
+struct Writer {
+    place: Place,
+    header: Header,
+    made: Instant,
+    path: PathBuf,
+    log: Option<LogWriter<File>>,
+    error: Option<LogbookError>,
+    unsynced: u32,
+    gap_said: bool,
+}
+
+impl Writer {
+    fn begin(place: Place, header: Header) -> Result<Self, LogbookError> {
+        let (path, file) = match &place {
+            Place::File(path) => (path.clone(), File::create(path)),
+            Place::Folder(folder, limits) => {
+                let fail = |error| LogbookError { path: folder.clone(), error };
+                fs::create_dir_all(folder).map_err(fail)?;
+                shelved::make_room(folder, *limits, None);
+                new_file(folder, &header.begun_utc).map_err(fail)?
+            }
+        };
+        let mut writer = Self {
+            place,
+            made: header.made,
+            header,
+            path,
+            log: None,
+            error: None,
+            unsynced: 0,
+            gap_said: false,
+        };
+        match file.and_then(|file| writer.open(file)) {
+            Ok(()) => Ok(writer),
+            Err(error) => Err(LogbookError { path: writer.path, error }),
+        }
+    }
+
+    /// The file of the present part, with its header on the disk.
+    fn open(&mut self, file: File) -> io::Result<()> {
+        let mut log = LogWriter::new(file)?;
+        log.put(self.made, &Entry::Header(Box::new(self.header.clone())))?;
+        log.flush()?;
+        self.log = Some(log);
+        Ok(())
+    }
+
+    fn work(mut self, messages: &Receiver<Message>) -> Result<(), LogbookError> {
+        let mut flushed = pace::now();
+        let mut newest = self.made;
+        loop {
+            match messages.recv_timeout(FLUSH_PERIOD) {
+                Ok(Message::Piece { missing, at, entry }) => {
+                    newest = at;
+                    self.put_gap(missing, at);
+                    self.put(at, &entry);
+                }
+                Ok(Message::Params { missing, at, params }) => {
+                    newest = at;
+                    self.put_gap(missing, at);
+                    self.put(at, &Entry::Params(params_text(&params)));
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Ok(Message::End { missing }) => {
+                    self.put_gap(missing, newest);
+                    break;
+                }
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            if flushed.elapsed() >= FLUSH_PERIOD {
+                flushed = pace::now();
+                self.flush();
+            }
+        }
+        if let Some(log) = self.log.take()
+            && let Err(error) = log.close().and_then(|file| file.sync_all())
+        {
+            self.fail(error);
+        }
+        self.error.map_or(Ok(()), Err)
+    }
+
+    fn put_gap(&mut self, missing: u64, at: Instant) {
+        if missing == 0 {
+            return;
+        }
+        if !self.gap_said {
+            self.gap_said = true;
+            tracing::warn!(
+                "the disk does not keep up: {missing} pieces are missing in the log {}; it cannot be \
+                 replayed beyond",
+                self.path.display()
+            );
+        }
+        self.put(at, &Entry::Gap { count: missing });
+    }
+
+    fn put(&mut self, at: Instant, entry: &Entry) {
+        // Without a log what comes is thrown away: it has been said why there is none.
+        let Some(log) = &mut self.log else { return };
+        let put = log.put(at, entry);
+        let length = log.length();
+        match put {
+            Err(error) => self.fail(error),
+            Ok(()) => {
+                if let Place::Folder(folder, limits) = &self.place
+                    && length >= limits.part_bytes
+                {
+                    let (folder, limits) = (folder.clone(), *limits);
+                    if let Err(error) = self.turn_over(at, &folder, limits) {
+                        self.fail(error);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Goes on in the next part.
+    fn turn_over(&mut self, at: Instant, folder: &Path, limits: Limits) -> io::Result<()> {
+        let Some(mut log) = self.log.take() else { return Ok(()) };
+        log.put(at, &Entry::Continued)?;
+        log.close()?.sync_all()?;
+        self.header.part += 1;
+        let first = self.path.clone();
+        let next = shelved::part_of(&first, self.header.part);
+        shelved::make_room(folder, limits, Some(&next));
+        let file = OpenOptions::new().write(true).create_new(true).open(next)?;
+        self.open(file)
+    }
+
+    fn flush(&mut self) {
+        let Some(log) = &mut self.log else { return };
+        let mut done = log.flush();
+        self.unsynced += 1;
+        if self.unsynced >= SYNC_FLUSHES {
+            self.unsynced = 0;
+            done = done.and_then(|()| log.get_ref().sync_data());
+        }
+        if let Err(error) = done {
+            self.fail(error);
+        }
+    }
+
+    fn fail(&mut self, error: io::Error) {
+        let error = LogbookError { path: self.path.clone(), error };
+        tracing::error!("{error}; nothing more is recorded");
+        self.log = None;
+        self.error.get_or_insert(error);
+    }
+}
+
+/// A file named after the time. Two programs may begin within the same second.
+fn new_file(folder: &Path, time: &str) -> io::Result<(PathBuf, io::Result<File>)> {
+    let names = std::iter::once(time.to_owned()).chain((2..).map(|i| format!("{time}-{i}")));
+    for name in names {
+        let path = folder.join(format!("{name}.{}", shelved::EXTENSION));
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+            file => return Ok((path, file)),
+        }
+    }
+    unreachable!("there is no end of names")
+}
+
+#[cfg(test)]
+#[path = "logbook_tests.rs"]
+mod tests;
