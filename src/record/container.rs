@@ -240,7 +240,8 @@ pub struct ContainerReader<R> {
     content: Vec<u8>,
     /// Where in the content the next record begins.
     at: usize,
-    /// Where the content begins.
+    /// Where the chunk begins, and its content.
+    chunk_offset: u64,
     content_offset: u64,
     /// Earliest and latest time of the chunk's messages, as it says and as they say.
     times: [Option<[u64; 2]>; 2],
@@ -281,6 +282,7 @@ impl<R: Read> ContainerReader<R> {
             offset: begin.len() as u64 + length,
             content: Vec::new(),
             at: 0,
+            chunk_offset: 0,
             content_offset: 0,
             times: [None; 2],
             channels: Vec::new(),
@@ -379,7 +381,8 @@ impl<R: Read> ContainerReader<R> {
         if said == found.or(said) {
             return Ok(());
         }
-        Err(self.damaged("a chunk's times are not those of its messages".into()))
+        let what = "a chunk's times are not those of its messages".into();
+        Err(LogError::Damaged { offset: self.chunk_offset, what })
     }
 
     /// The next chunk, or the end.
@@ -430,6 +433,7 @@ impl<R: Read> ContainerReader<R> {
             self.content.clear();
             return Err(damaged("a chunk's content is not what its checksum says"));
         }
+        self.chunk_offset = begin;
         self.content_offset = begin + 1 + head.len() as u64;
         self.offset = self.content_offset + length;
         self.times[0] = Some([first, last]);

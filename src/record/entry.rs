@@ -84,7 +84,7 @@ const STATE: usize = 5;
 
 /// Every topic, in the order of the constants above.
 pub const TOPICS: &[Topic] = &[
-    Topic { name: "/apexd/header", encoding: "apexd", schema: "" },
+    Topic { name: "/apexd/header", encoding: "json", schema: "" },
     Topic { name: "/can/received", encoding: "apexd", schema: "" },
     Topic { name: "/can/sent", encoding: "apexd", schema: "" },
     Topic { name: "/core/input", encoding: "apexd", schema: "" },

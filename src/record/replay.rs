@@ -39,9 +39,12 @@ pub enum ReplayError {
         /// Which part it is.
         part: u32,
     },
-    /// Its parameters, or those given instead, are none.
-    #[error("{0}")]
+    /// Its parameters are none of this version's.
+    #[error("its parameters do not fit this version\n{0}")]
     Params(Faults),
+    /// Those given instead are none.
+    #[error("{0}")]
+    Set(Faults),
     /// The predictor cannot be made.
     #[error(transparent)]
     Predictor(#[from] PredictError),
@@ -224,6 +227,8 @@ struct Replay {
     missing: bool,
     /// What the log says was sent since the last input.
     sent: Vec<CanFrame>,
+    /// The last input was a tick: what the core sends is fetched after each.
+    ticked: bool,
     made: Instant,
     now: Instant,
     frames: u64,
@@ -261,6 +266,7 @@ impl Replay {
             pending: None,
             missing: false,
             sent: Vec::new(),
+            ticked: false,
             made: header.made,
             now: header.made,
             frames: 0,
@@ -294,6 +300,7 @@ impl Replay {
             Entry::Time => {
                 self.answer_extra(at);
                 self.core.handle_time(at);
+                self.ticked = true;
             }
             Entry::Command(command) => {
                 // What it said to that shows in what it does.
@@ -343,7 +350,7 @@ impl Replay {
 
     /// Compares what was sent up to here, if anything was: whoever fetches frames fetches all.
     fn compare_frames(&mut self) {
-        if self.sent.is_empty() {
+        if !std::mem::take(&mut self.ticked) && self.sent.is_empty() {
             return;
         }
         let then = std::mem::take(&mut self.sent);
@@ -526,11 +533,14 @@ impl Replay {
 /// Parameters of a log with others over them.
 fn parsed(text: &str, set: &[String]) -> Result<Params, ReplayError> {
     let mut layers = Layers::new();
-    layers.file("the log", text);
+    let params = layers.file("the log", text).build().map_err(ReplayError::Params)?;
+    if set.is_empty() {
+        return Ok(params);
+    }
     for assignment in set {
         layers.set(assignment);
     }
-    layers.build().map_err(ReplayError::Params)
+    layers.build().map_err(ReplayError::Set)
 }
 
 /// The network must be the one of the drive, unless another one is asked for.
@@ -571,3 +581,7 @@ fn summary(report: &StepReport) -> String {
         Verdict::Unreachable => "the goal is out of reach".into(),
     }
 }
+
+#[cfg(test)]
+#[path = "replay_tests.rs"]
+mod tests;

@@ -3,9 +3,9 @@
 use std::fs::{self, File, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use super::pace;
@@ -15,8 +15,12 @@ use crate::params::Params;
 use crate::record::{Entry, Header, LogWriter, Readings, Scribe, params_text};
 use crate::time::{Duration, Instant};
 
-/// Pieces that may wait: two seconds of the busiest bus.
-const PIECES_MAX: usize = 8192;
+/// Pieces are handed over together, so many at most: waking the other thread costs more than a piece.
+const BATCH_PIECES: usize = 128;
+/// Pieces wait no longer than this to be handed over.
+const BATCH_TIME: Duration = Duration::from_millis(100);
+/// Batches that may wait: six seconds.
+const BATCHES_MAX: usize = 64;
 /// What waits is written at least this often.
 const FLUSH_PERIOD: Duration = Duration::from_millis(250);
 /// What is written is on the disk after so many of these periods: the least that a power cut leaves.
@@ -35,47 +39,65 @@ pub struct LogbookError {
 /// Where a log goes.
 #[derive(Clone, Debug)]
 pub enum Place {
-    /// Into one file, whatever it takes: who writes waits for the disk.
+    /// Into one file.
     File(PathBuf),
-    /// Into a folder of logs, in parts, the oldest ones making room; who writes never waits.
+    /// Into a folder of logs, in parts, the oldest ones making room.
     Folder(PathBuf, Limits),
 }
 
+/// What becomes of a piece when the disk does not keep up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WhenFull {
+    /// Whoever hands it over waits.
+    Wait,
+    /// It is dropped, and counted.
+    Drop,
+}
+
+enum Piece {
+    Entry(Entry),
+    Params(Arc<Params>),
+}
+
 enum Message {
-    Piece { missing: u64, at: Instant, entry: Entry },
-    Params { missing: u64, at: Instant, params: Arc<Params> },
-    End { missing: u64 },
+    /// So many pieces are missing, then these follow.
+    Pieces(u64, Vec<(Instant, Piece)>),
+    End,
 }
 
 /// A log being written.
 pub struct Logbook {
-    sender: SyncSender<Message>,
     recorder: Recorder,
     thread: JoinHandle<Result<(), LogbookError>>,
     path: PathBuf,
 }
 
-/// Takes what is to be written.
+/// Takes what is to be written. Copies write into the same log; they are meant for one thread.
 #[derive(Clone)]
 pub struct Recorder {
+    batch: Arc<Mutex<Batch>>,
     sender: SyncSender<Message>,
-    lossy: bool,
-    /// Pieces dropped since the last one that was not.
-    missing: Arc<AtomicU64>,
+    when_full: WhenFull,
     dropped: Arc<AtomicU64>,
+}
+
+/// What has not been handed over yet.
+#[derive(Default)]
+struct Batch {
+    pieces: Vec<(Instant, Piece)>,
+    /// Pieces dropped since the last one that was not.
+    missing: u64,
 }
 
 impl Recorder {
     /// A piece of the log.
     pub fn note(&self, at: Instant, entry: Entry) {
-        let missing = self.missing.swap(0, Ordering::Relaxed);
-        self.send(missing, Message::Piece { missing, at, entry });
+        self.put(at, Piece::Entry(entry));
     }
 
     /// Other parameters.
     pub fn note_params(&self, at: Instant, params: Arc<Params>) {
-        let missing = self.missing.swap(0, Ordering::Relaxed);
-        self.send(missing, Message::Params { missing, at, params });
+        self.put(at, Piece::Params(params));
     }
 
     /// The witness that writes down what happens to a core.
@@ -89,16 +111,38 @@ impl Recorder {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    fn send(&self, missing: u64, message: Message) {
-        let sent = if self.lossy {
-            self.sender.try_send(message)
-        } else {
-            self.sender.send(message).map_err(|error| TrySendError::Disconnected(error.0))
-        };
-        if sent.is_err() {
-            self.missing.fetch_add(missing + 1, Ordering::Relaxed);
-            self.dropped.fetch_add(1, Ordering::Relaxed);
+    fn put(&self, at: Instant, piece: Piece) {
+        let mut batch = self.batch.lock().unwrap_or_else(PoisonError::into_inner);
+        batch.pieces.push((at, piece));
+        let since = batch.pieces.first().map_or(at, |(at, _)| *at);
+        if batch.pieces.len() >= BATCH_PIECES || at.since(since) >= BATCH_TIME {
+            self.hand_over(&mut batch, self.when_full);
         }
+    }
+
+    fn hand_over(&self, batch: &mut Batch, when_full: WhenFull) {
+        let pieces = std::mem::replace(&mut batch.pieces, Vec::with_capacity(BATCH_PIECES));
+        let count = pieces.len() as u64;
+        let message = Message::Pieces(batch.missing, pieces);
+        let is_sent = match when_full {
+            WhenFull::Drop => self.sender.try_send(message).is_ok(),
+            WhenFull::Wait => self.sender.send(message).is_ok(),
+        };
+        if is_sent {
+            batch.missing = 0;
+        } else {
+            batch.missing += count;
+            self.dropped.fetch_add(count, Ordering::Relaxed);
+        }
+    }
+
+    /// Nothing more comes.
+    fn end(&self) {
+        let mut batch = self.batch.lock().unwrap_or_else(PoisonError::into_inner);
+        // Nobody is in a hurry any more.
+        self.hand_over(&mut batch, WhenFull::Wait);
+        // A thread that is gone has said why.
+        let _ = self.sender.send(Message::End);
     }
 }
 
@@ -107,25 +151,29 @@ impl Logbook {
     ///
     /// # Errors
     /// If its file cannot be written.
-    pub fn begin(place: Place, header: Header, truth: Option<Grid>) -> Result<Self, LogbookError> {
-        let lossy = matches!(place, Place::Folder(..));
-        let (sender, messages) = sync_channel(PIECES_MAX);
-        let recorder = Recorder {
-            sender: sender.clone(),
-            lossy,
-            missing: Arc::default(),
-            dropped: Arc::default(),
-        };
+    pub fn begin(
+        place: Place,
+        header: Header,
+        truth: Option<Grid>,
+        when_full: WhenFull,
+    ) -> Result<Self, LogbookError> {
         let mut writer = Writer::begin(place, header)?;
-        let path = writer.path.clone();
         if let Some(truth) = truth {
             writer.put(writer.made, &Entry::Truth(Box::new(truth)));
         }
+        Self::start(writer, when_full)
+    }
+
+    fn start(writer: Writer, when_full: WhenFull) -> Result<Self, LogbookError> {
+        let (sender, messages) = sync_channel(BATCHES_MAX);
+        let (batch, dropped) = (Arc::default(), Arc::default());
+        let recorder = Recorder { batch, sender, when_full, dropped };
+        let path = writer.path.clone();
         let thread = std::thread::Builder::new()
             .name("apexd-record".into())
             .spawn(move || writer.work(&messages))
             .map_err(|error| LogbookError { path: path.clone(), error })?;
-        Ok(Self { sender, recorder, thread, path })
+        Ok(Self { recorder, thread, path })
     }
 
     /// Takes what is to be written.
@@ -143,9 +191,7 @@ impl Logbook {
     /// # Errors
     /// If it, or something before, could not be written.
     pub fn close(self) -> Result<(), LogbookError> {
-        // A thread that is gone has said why.
-        let missing = self.recorder.missing.swap(0, Ordering::Relaxed);
-        let _ = self.sender.send(Message::End { missing });
+        self.recorder.end();
         let dropped = self.recorder.dropped();
         if dropped > 0 {
             tracing::warn!("{dropped} pieces are missing in the log {}", self.path.display());
@@ -213,21 +259,20 @@ impl Writer {
         let mut newest = self.made;
         loop {
             match messages.recv_timeout(FLUSH_PERIOD) {
-                Ok(Message::Piece { missing, at, entry }) => {
-                    newest = at;
-                    self.put_gap(missing, at);
-                    self.put(at, &entry);
-                }
-                Ok(Message::Params { missing, at, params }) => {
-                    newest = at;
-                    self.put_gap(missing, at);
-                    self.put(at, &Entry::Params(params_text(&params)));
+                Ok(Message::Pieces(missing, pieces)) => {
+                    self.put_gap(missing, pieces.first().map_or(newest, |(at, _)| *at));
+                    for (at, piece) in pieces {
+                        newest = at;
+                        match piece {
+                            Piece::Entry(entry) => self.put(at, &entry),
+                            Piece::Params(params) => {
+                                self.put(at, &Entry::Params(params_text(&params)));
+                            }
+                        }
+                    }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
-                Ok(Message::End { missing }) => {
-                    self.put_gap(missing, newest);
-                    break;
-                }
+                Ok(Message::End) => break,
                 Err(RecvTimeoutError::Disconnected) => break,
             }
             if flushed.elapsed() >= FLUSH_PERIOD {
@@ -236,7 +281,7 @@ impl Writer {
             }
         }
         if let Some(log) = self.log.take()
-            && let Err(error) = log.close().and_then(|file| file.sync_all())
+            && let Err(error) = log.close().and_then(|file| settle(&file))
         {
             self.fail(error);
         }
@@ -282,7 +327,7 @@ impl Writer {
     fn turn_over(&mut self, at: Instant, folder: &Path, limits: Limits) -> io::Result<()> {
         let Some(mut log) = self.log.take() else { return Ok(()) };
         log.put(at, &Entry::Continued)?;
-        log.close()?.sync_all()?;
+        settle(&log.close()?)?;
         self.header.part += 1;
         let first = self.path.clone();
         let next = shelved::part_of(&first, self.header.part);
@@ -297,7 +342,7 @@ impl Writer {
         self.unsynced += 1;
         if self.unsynced >= SYNC_FLUSHES {
             self.unsynced = 0;
-            done = done.and_then(|()| log.get_ref().sync_data());
+            done = done.and_then(|()| settle(log.get_ref()));
         }
         if let Err(error) = done {
             self.fail(error);
@@ -309,6 +354,14 @@ impl Writer {
         tracing::error!("{error}; nothing more is recorded");
         self.log = None;
         self.error.get_or_insert(error);
+    }
+}
+
+/// Makes sure that what was written is on the disk, if it goes to one at all.
+fn settle(file: &File) -> io::Result<()> {
+    match file.sync_data() {
+        Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+        done => done,
     }
 }
 

@@ -26,6 +26,10 @@ pub fn run(args: &ReplayArgs, terminal: &Terminal, out: &mut dyn Write) -> Exit 
     bar.finish();
     let comparison = match compared {
         Ok(comparison) => comparison,
+        Err(ReplayError::Set(faults)) => {
+            complain(&format!("bad configuration\n{faults}"));
+            return Exit::Configuration;
+        }
         Err(error) => {
             complain(&format!("{}: {error}", shown(&args.file)));
             return Exit::Usage;

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::logbook::{self, Logbook, LogbookError};
+use super::logbook::{self, Logbook, LogbookError, WhenFull};
 use super::mavlink::Attended;
 use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
@@ -142,7 +142,7 @@ fn begin_log(
         network: predict::network_digest(&params.predict),
         part: 1,
     };
-    Logbook::begin(logbook::Place::File(path.to_owned()), header, truth)
+    Logbook::begin(logbook::Place::File(path.to_owned()), header, truth, WhenFull::Wait)
 }
 
 fn setup(request: &SilRequest, place: Place, goal: Option<Point>, readings: &Readings) -> RigSetup {

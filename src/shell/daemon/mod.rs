@@ -33,7 +33,7 @@ pub use seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request, Seam};
 use super::can::CanLinkError;
 use super::cli::RunArgs;
 use super::clock::Clock;
-use super::logbook::{Logbook, Place};
+use super::logbook::{Logbook, Place, WhenFull};
 use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
 use super::shelved::Limits;
 use super::{Exit, complain, configuration, configured, folder, say};
@@ -102,6 +102,7 @@ pub fn run(
         }
     };
     let state_directory = configuration::state_directory(&params, environment);
+    let logs = configuration::log_directory(&params, environment);
     let marker = state_directory.as_deref().and_then(|directory| {
         Marker::set(directory)
             .inspect_err(|error| {
@@ -127,7 +128,7 @@ pub fn run(
     let joined = Joined {
         seam,
         start,
-        services: mavlink::services(&params, state_directory.as_deref()),
+        services: mavlink::services(&params, state_directory.as_deref(), logs.clone()),
         ender: ender(orders.clone(), Arc::clone(&restart)),
     };
     let mavlink = match join(&params, state_directory.as_deref(), joined) {
@@ -147,8 +148,7 @@ pub fn run(
         log_dropped: Box::new(log.dropped()),
         recorder: None,
     };
-    let records = configuration::log_directory(&params, state_directory.as_deref())
-        .filter(|_| params.daemon.record);
+    let records = logs.filter(|_| params.daemon.record);
     let watched = state_directory.iter().chain(&records).cloned().collect();
     let keeper = Keeper {
         orders: orders.clone(),
@@ -286,7 +286,7 @@ impl Record {
             part: 1,
         };
         let place = Place::Folder(self.folder.clone()?, limits);
-        Logbook::begin(place, header, None)
+        Logbook::begin(place, header, None, WhenFull::Drop)
             .inspect(|logbook| tracing::info!("recording to {}", logbook.path().display()))
             .inspect_err(|error| tracing::error!("{error}; the drive is not recorded"))
             .ok()

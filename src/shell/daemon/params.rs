@@ -24,8 +24,8 @@ tunables! {
         disk_free_min_mb: u32 = 16, live, in 0..=1000000, "MB";
         /// Keep a log of every run, from which `apexd replay` drives it again.
         record: bool = true, restart;
-        /// The folder of these logs; if empty, `logs` in the state directory, and no logs without
-        /// one.
+        /// The folder of these logs; if empty, the one that systemd names (LOGS_DIRECTORY), else
+        /// `logs` in the state directory, and no logs without one.
         log_directory: String = "", restart;
         /// A log that is longer goes on in another file.
         log_part_mb: u32 = 256, restart, in 1..=4000, "MB";

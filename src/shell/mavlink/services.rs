@@ -12,8 +12,13 @@ use crate::shell::configuration;
 /// A kept file that is longer than this is none of ours, bytes.
 const KEPT_BYTES_MAX: u64 = 1 << 20;
 
-/// Parameters, missions and files; what is to outlast a restart goes into the state directory.
-pub fn services(params: &Params, state_directory: Option<&Path>) -> Vec<Box<dyn Service>> {
+/// Parameters, missions and files; what is to outlast a restart goes into the state directory, what is
+/// handed out comes from the folder of logs.
+pub fn services(
+    params: &Params,
+    state_directory: Option<&Path>,
+    logs: Option<PathBuf>,
+) -> Vec<Box<dyn Service>> {
     let keeper = || {
         let folder = state_directory?.to_owned();
         Some(Box::new(Files { folder }) as Box<dyn Keeper>)
@@ -27,10 +32,7 @@ pub fn services(params: &Params, state_directory: Option<&Path>) -> Vec<Box<dyn 
     vec![
         Box::new(Parameters::new(params, configuration::kept(state_directory), keeper())),
         Box::new(Mission::new(system, keeper(), kept_text)),
-        Box::new(Ftp::new(Box::new(Folders::new(configuration::log_directory(
-            params,
-            state_directory,
-        ))))),
+        Box::new(Ftp::new(Box::new(Folders::new(logs)))),
     ]
 }
 

@@ -42,7 +42,11 @@ impl Attended {
         let joined = Joined {
             seam: outer,
             start,
-            services: services(params, state_directory.as_deref()),
+            services: services(
+                params,
+                state_directory.as_deref(),
+                configuration::log_directory(params, &[]),
+            ),
             ender: Box::new(move |how| match how {
                 End::Shutdown => {
                     told.store(true, Ordering::Relaxed);

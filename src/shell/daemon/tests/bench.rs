@@ -21,7 +21,7 @@ use crate::shell::daemon::seam::Seam;
 use crate::shell::daemon::statistics::Summary;
 use crate::shell::daemon::timing::Timing;
 use crate::shell::daemon::worker::{self, Finished, PlanningParams, Worker};
-use crate::shell::logbook::{Logbook, Place};
+use crate::shell::logbook::{Logbook, Place, WhenFull};
 use crate::sim::account::Account;
 use crate::sim::bus::{BusParams, NodeId};
 use crate::sim::car_end::{CarEnd, CarEndSetup};
@@ -327,7 +327,7 @@ pub fn run<F: Future<Output = ()>>(
                 network: String::new(),
                 part: 1,
             };
-            Logbook::begin(place, header, None).unwrap()
+            Logbook::begin(place, header, None, WhenFull::Wait).unwrap()
         });
         let worker = InlineWorker {
             planner: worker::build(&planning, &readings).unwrap().planner,
