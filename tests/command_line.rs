@@ -646,7 +646,7 @@ fn a_drive_is_written_down_and_replayed_to_the_last_bit() {
 fn with_another_frame(bytes: &[u8]) -> Vec<u8> {
     use apexd::record::{Entry, LogReader, LogWriter};
     let mut log = LogReader::new(bytes).unwrap();
-    let mut entries: Vec<_> = std::iter::from_fn(|| log.next().unwrap()).collect();
+    let mut entries: Vec<_> = std::iter::from_fn(|| log.read().unwrap()).collect();
     let middle = entries.len() / 2;
     let sent = entries[middle..].iter_mut().find_map(|(_, entry)| match entry {
         Entry::Sent(frame) => Some(frame),

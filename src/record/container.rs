@@ -308,7 +308,7 @@ impl<R: Read> ContainerReader<R> {
     ///
     /// # Errors
     /// If the log is damaged there; nothing behind it is worth reading.
-    pub fn next(&mut self) -> Result<Option<Message<'_>>, LogError> {
+    pub fn read(&mut self) -> Result<Option<Message<'_>>, LogError> {
         let (channel, at, data) = loop {
             if self.end.is_some() {
                 return Ok(None);
@@ -505,12 +505,12 @@ mod tests {
         log.put(0, at(3), b"").unwrap();
         let bytes = log.close().unwrap();
         let mut reader = ContainerReader::new(&*bytes).unwrap();
-        let message = reader.next().unwrap().unwrap();
+        let message = reader.read().unwrap().unwrap();
         assert_eq!(message, Message { topic: "/b", at: at(5), data: b"{}" });
-        let message = reader.next().unwrap().unwrap();
+        let message = reader.read().unwrap().unwrap();
         assert_eq!(message, Message { topic: "/a", at: at(3), data: b"" });
-        assert_eq!(reader.next().unwrap(), None);
-        assert_eq!(reader.next().unwrap(), None, "again");
+        assert_eq!(reader.read().unwrap(), None);
+        assert_eq!(reader.read().unwrap(), None, "again");
         assert_eq!((reader.end(), reader.offset()), (Some(End::Closed), bytes.len() as u64));
     }
 }

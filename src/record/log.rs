@@ -79,10 +79,10 @@ impl<R: Read> LogReader<R> {
     ///
     /// # Errors
     /// If the log is damaged there; nothing behind it is worth reading.
-    pub fn next(&mut self) -> Result<Option<(Instant, Entry)>, LogError> {
+    pub fn read(&mut self) -> Result<Option<(Instant, Entry)>, LogError> {
         loop {
             let offset = self.container.message_offset();
-            let Some(message) = self.container.next()? else { return Ok(None) };
+            let Some(message) = self.container.read()? else { return Ok(None) };
             match Entry::decode(message.topic, message.data) {
                 Ok(Some(entry)) => return Ok(Some((message.at, entry))),
                 Ok(None) => {}

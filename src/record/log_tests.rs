@@ -34,7 +34,7 @@ fn read(bytes: &[u8]) -> Read {
         Err(error) => return (entries, Err(error)),
     };
     loop {
-        match log.next() {
+        match log.read() {
             Ok(Some(entry)) => entries.push(entry),
             Ok(None) => return (entries, Ok(log.end().unwrap())),
             Err(error) => return (entries, Err(error)),

@@ -158,7 +158,7 @@ pub fn replay<R: Read>(
             shown = log.offset();
             each(parts, shown);
         }
-        let Some((at, entry)) = log.next()? else {
+        let Some((at, entry)) = log.read()? else {
             break match log.end() {
                 Some(End::Closed) => Ended::Closed,
                 _ => Ended::CutOff,
@@ -196,7 +196,7 @@ pub fn replay<R: Read>(
 
 /// The header of a log; none if it was cut off before.
 fn begin<R: Read>(log: &mut LogReader<R>) -> Result<Option<Header>, LogError> {
-    match log.next()? {
+    match log.read()? {
         Some((_, Entry::Header(header))) => Ok(Some(*header)),
         Some(_) => Err(LogError::NotALog),
         None => Ok(None),

@@ -114,7 +114,7 @@ fn assert_identical(log: &[u8], digest: &str) -> Comparison {
 /// All entries of a log, for making another one of them.
 fn entries(log: &[u8]) -> Vec<(Instant, Entry)> {
     let mut log = LogReader::new(log).unwrap();
-    std::iter::from_fn(|| log.next().unwrap()).collect()
+    std::iter::from_fn(|| log.read().unwrap()).collect()
 }
 
 fn written(entries: &[(Instant, Entry)]) -> Vec<u8> {

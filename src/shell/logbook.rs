@@ -23,8 +23,6 @@ const BATCH_TIME: Duration = Duration::from_millis(100);
 const BATCHES_MAX: usize = 64;
 /// What waits is written at least this often.
 const FLUSH_PERIOD: Duration = Duration::from_millis(250);
-/// What is written is on the disk after so many of these periods: the least that a power cut leaves.
-const SYNC_FLUSHES: u32 = 20;
 
 /// Why a log is not written, or not any more.
 #[derive(Debug, thiserror::Error)]
@@ -214,7 +212,6 @@ struct Writer {
     path: PathBuf,
     log: Option<LogWriter<File>>,
     error: Option<LogbookError>,
-    unsynced: u32,
     gap_said: bool,
 }
 
@@ -236,7 +233,6 @@ impl Writer {
             path,
             log: None,
             error: None,
-            unsynced: 0,
             gap_said: false,
         };
         match file.and_then(|file| writer.open(file)) {
@@ -338,13 +334,7 @@ impl Writer {
 
     fn flush(&mut self) {
         let Some(log) = &mut self.log else { return };
-        let mut done = log.flush();
-        self.unsynced += 1;
-        if self.unsynced >= SYNC_FLUSHES {
-            self.unsynced = 0;
-            done = done.and_then(|()| settle(log.get_ref()));
-        }
-        if let Err(error) = done {
+        if let Err(error) = log.flush() {
             self.fail(error);
         }
     }

@@ -26,7 +26,7 @@ fn limits(part_bytes: u64) -> Limits {
 
 fn entries(input: impl Read) -> Vec<Entry> {
     let mut log = LogReader::new(input).unwrap();
-    let entries = std::iter::from_fn(|| log.next().unwrap()).map(|(_, entry)| entry);
+    let entries = std::iter::from_fn(|| log.read().unwrap()).map(|(_, entry)| entry);
     entries.collect()
 }
 
@@ -115,7 +115,6 @@ fn piped() -> (Logbook, File) {
         path: "pipe".into(),
         log: None,
         error: None,
-        unsynced: 0,
         gap_said: false,
     };
     writer.open(into.into()).unwrap();

@@ -17,11 +17,11 @@ pub fn run(args: &ReplayArgs, terminal: &Terminal, out: &mut dyn Write) -> Exit 
     let bar = terminal.count_bar("kB");
     let compared = open(&args.file).and_then(|log| {
         let next = |part| open_part(&args.file, part);
-        Ok(replay(log, next, &args.set, |part, bytes| {
+        replay(log, next, &args.set, |part, bytes| {
             let file = shelved::part_of(&args.file, part);
             let whole = file.metadata().map_or(bytes, |about| about.len());
             bar.show((bytes / STEP_BYTES) as usize, (whole / STEP_BYTES) as usize);
-        })?)
+        })
     });
     bar.finish();
     let comparison = match compared {

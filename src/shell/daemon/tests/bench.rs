@@ -20,7 +20,7 @@ use crate::shell::daemon::link::Link;
 use crate::shell::daemon::seam::Seam;
 use crate::shell::daemon::statistics::Summary;
 use crate::shell::daemon::timing::Timing;
-use crate::shell::daemon::worker::{self, Finished, PlanningParams, Worker};
+use crate::shell::daemon::worker::{self, Finished, PlanningParams, ThreadWorker, Worker};
 use crate::shell::logbook::{Logbook, Place, WhenFull};
 use crate::sim::account::Account;
 use crate::sim::bus::{BusParams, NodeId};
@@ -206,6 +206,42 @@ impl Worker for InlineWorker {
     }
 }
 
+/// Either kind of worker.
+enum BenchWorker {
+    Inline(InlineWorker),
+    Thread(ThreadWorker),
+}
+
+impl Worker for BenchWorker {
+    fn submit(&mut self, request: PlanRequest) {
+        match self {
+            Self::Inline(worker) => worker.submit(request),
+            Self::Thread(worker) => worker.submit(request),
+        }
+    }
+
+    fn set_params(&mut self, params: PlanningParams) {
+        match self {
+            Self::Inline(worker) => worker.set_params(params),
+            Self::Thread(worker) => worker.set_params(params),
+        }
+    }
+
+    async fn finished(&mut self) -> Finished {
+        match self {
+            Self::Inline(worker) => worker.finished().await,
+            Self::Thread(worker) => worker.finished().await,
+        }
+    }
+
+    fn is_predictor_missing(&self) -> bool {
+        match self {
+            Self::Inline(worker) => worker.is_predictor_missing(),
+            Self::Thread(worker) => worker.is_predictor_missing(),
+        }
+    }
+}
+
 /// What a test does beside the loop.
 pub struct Hands {
     pub bench: Rc<RefCell<Bench>>,
@@ -243,6 +279,8 @@ pub struct Setup {
     pub faults: FaultPlan,
     /// Write the drive down there.
     pub record: Option<Place>,
+    /// By the clock on the wall, with the planner on a thread of its own.
+    pub in_real_time: bool,
 }
 
 impl Default for Setup {
@@ -258,6 +296,7 @@ impl Default for Setup {
             to_goal: true,
             faults: FaultPlan::default(),
             record: None,
+            in_real_time: false,
         }
     }
 }
@@ -269,11 +308,11 @@ pub fn run<F: Future<Output = ()>>(
 ) -> (Summary, Rc<RefCell<Bench>>) {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        .start_paused(true)
+        .start_paused(!setup.in_real_time)
         .build()
         .unwrap();
     runtime.block_on(async {
-        let Setup { params, trouble, mut task, to_goal, faults, record } = setup;
+        let Setup { params, trouble, mut task, to_goal, faults, record, in_real_time } = setup;
         let maze = maze::generate(Family::Thin, 3, 0.1).unwrap();
         if to_goal {
             task.goal = Some(maze.goal);
@@ -314,27 +353,34 @@ pub fn run<F: Future<Output = ()>>(
         let planning =
             PlanningParams { planner: params.planner(), predict: params.predict.clone() };
         let readings = Readings::default();
+        let made = timing.now();
         let logbook = record.map(|place| {
             let header = Header {
                 build: "test".into(),
                 source: Source::Run,
                 begun_utc: "20260131T235959Z".into(),
-                made: timing.now(),
+                made,
                 start,
                 goal: task.goal,
                 seed: 0,
                 params: params_text(&params),
-                network: String::new(),
+                network: crate::predict::network_digest(&params.predict),
                 part: 1,
             };
             Logbook::begin(place, header, None, WhenFull::Wait).unwrap()
         });
-        let worker = InlineWorker {
-            planner: worker::build(&planning, &readings).unwrap().planner,
-            latency: Duration::from_millis(8),
-            trouble,
-            steps: 0,
-            answer: None,
+        let kept = readings.clone();
+        let worker = if in_real_time {
+            let build = move |params: &PlanningParams| worker::build(params, &kept);
+            BenchWorker::Thread(ThreadWorker::start(planning, Box::new(build)).unwrap())
+        } else {
+            BenchWorker::Inline(InlineWorker {
+                planner: worker::build(&planning, &kept).unwrap().planner,
+                latency: Duration::from_millis(8),
+                trouble,
+                steps: 0,
+                answer: None,
+            })
         };
         let (orders, when_ordered) = mpsc::channel(16);
         let (say, words) = std::sync::mpsc::channel();
@@ -348,7 +394,7 @@ pub fn run<F: Future<Output = ()>>(
             log_dropped: Box::new(|| 0),
             recorder: logbook.as_ref().map(|logbook| logbook.recorder().clone()),
         };
-        let mut core = Autopilot::new(params.core(), Layout::Fd, start, timing.now());
+        let mut core = Autopilot::new(params.core(), Layout::Fd, start, made);
         if let Some(logbook) = &logbook {
             core.set_witness(logbook.recorder().scribe(readings));
         }

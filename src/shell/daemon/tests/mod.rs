@@ -367,3 +367,30 @@ fn a_long_run_is_repeated_from_the_parts_of_its_log() {
     assert!(comparison.identical && comparison.parts > 2, "{comparison:?}");
     assert_eq!(comparison.plans, summary.replans);
 }
+
+#[test]
+fn a_run_by_the_clock_with_its_threads_is_repeated_from_its_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("run.mcap");
+    let record = Some(crate::shell::logbook::Place::File(log.clone()));
+    let mut setup = Setup { record, in_real_time: true, ..Setup::default() };
+    setup.params.predict.kind = crate::predict::PredictorKind::Cnp;
+    // Now and then too little.
+    setup.params.predict.time_limit_s = 0.004;
+    setup.task.time_limit_s = Some(4.0);
+    let (summary, _) = run(setup, |hands| async move {
+        // While plans are being made, most likely.
+        for i in 0..30 {
+            hands.sleep_s(0.08).await;
+            let (reply, answer) = oneshot::channel();
+            let value = Value::Real(2.0 + 0.01 * f64::from(i));
+            let key = "speed.speed_max_mps".to_owned();
+            hands.seam.requests.send(Request::SetParameter { key, value, reply }).await.unwrap();
+            answer.await.unwrap().unwrap();
+        }
+    });
+    let comparison = replayed(&log);
+    assert!(comparison.identical, "{comparison:?}");
+    assert_eq!(comparison.plans, summary.replans);
+    assert!(comparison.time_s > 3.0, "{comparison:?}");
+}
