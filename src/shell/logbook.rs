@@ -18,11 +18,11 @@ use crate::time::{Duration, Instant};
 /// Pieces are handed over together, so many at most: waking the other thread costs more than a piece.
 const BATCH_PIECES: usize = 128;
 /// Pieces wait no longer than this to be handed over.
-const BATCH_TIME: Duration = Duration::from_millis(100);
-/// Batches that may wait: six seconds.
+const BATCH_TIME: Duration = Duration::from_millis(50);
+/// Batches that may wait: three seconds.
 const BATCHES_MAX: usize = 64;
 /// What waits is written at least this often.
-const FLUSH_PERIOD: Duration = Duration::from_millis(250);
+const FLUSH_PERIOD: Duration = Duration::from_millis(100);
 
 /// Why a log is not written, or not any more.
 #[derive(Debug, thiserror::Error)]

@@ -1,7 +1,8 @@
 """Reads the log of a drive with the reference implementation of MCAP, and finds in it what the drive
-itself says.
+itself says; replays what daemons on a bus have written.
 
-Needs the program, in APEXD_BINARY or target/release/apexd.
+Needs the program, in APEXD_BINARY or target/release/apexd, and for the latter the results of hil/run,
+in APEXD_HIL or target/hil.
 """
 
 import collections
@@ -20,6 +21,7 @@ from mcap.stream_reader import StreamReader
 
 ROOT = pathlib.Path(__file__).parents[2]
 BINARY = os.environ.get("APEXD_BINARY", ROOT / "target/release/apexd")
+HIL = pathlib.Path(os.environ.get("APEXD_HIL", ROOT / "target/hil"))
 EXTENDED, FD = 1 << 31, 1 << 30
 
 
@@ -84,6 +86,23 @@ class Log(unittest.TestCase):
         self.assertGreater(max(state.get("speed_mps", 0.0) for state in states), 1.0)
         header = json.loads(self.messages["/apexd/header"][0].data)
         self.assertEqual((header["source"], header["part"]), ("sil", 1))
+
+
+class DaemonLogs(unittest.TestCase):
+    """Written in real time by a daemon with its threads, some of them killed."""
+
+    def test_what_daemons_did_on_a_bus_is_repeated_to_the_last_bit(self):
+        logs = [log for log in sorted(HIL.glob("**/*.mcap")) if "-part" not in log.stem]
+        if not logs:
+            self.skipTest(f"no logs in {HIL}")
+        for log in logs:
+            with self.subTest(log=log.relative_to(HIL)):
+                command = [BINARY, "replay", log, "--json"]
+                done = subprocess.run(command, stdout=subprocess.PIPE, timeout=600, check=False)
+                found = json.loads(done.stdout)
+                self.assertTrue(found["identical"], found)
+                if found["ended"] == "closed":
+                    self.assertGreater(found["frames"], 0)
 
 
 if __name__ == "__main__":
