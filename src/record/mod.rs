@@ -3,7 +3,6 @@
 //! The core is a deterministic function of parameters and timestamped inputs, and so is the planner
 //! of the jobs that the core asks for. So a log holds the parameters and every input in order, and
 //! of what came out only what a replay is compared with: the frames sent, and a digest of each plan.
-//! Plans themselves are not kept: they would be several times as large as everything else.
 
 mod bytes;
 mod container;
