@@ -9,7 +9,7 @@ use super::failsafe::{
     SCAN_LATE_SHARE, SCAN_MISSING_SHARE, STATUS_TIMEOUT_S, TAIL_SUPERSEDED_S, TAIL_TIMEOUT_S,
     UNSENT_PER_S, WINDOW_S, odometry_late_s,
 };
-use super::{Action, Autopilot, Clears, Event, Fault, Mode, REST_SPEED_MPS, Refusal};
+use super::{Action, Autopilot, Clears, Event, Fault, Happening, Mode, REST_SPEED_MPS, Refusal};
 use crate::command::CarStatus;
 use crate::scan::Odometry;
 use crate::time::Instant;
@@ -212,6 +212,7 @@ impl Autopilot {
     /// What the driver of the bus says about it: at every change, and at least every 100 ms while
     /// there are errors.
     pub fn handle_bus_health(&mut self, now: Instant, health: BusHealth) {
+        self.testimony.note_at(now, Happening::Bus(&health));
         self.note_time(now);
         let before = std::mem::replace(&mut self.health.bus, health);
         let errors = health.error_frames.saturating_sub(before.error_frames);
@@ -225,6 +226,7 @@ impl Autopilot {
 
     /// What the computer says about itself, at every change.
     pub fn handle_host_health(&mut self, now: Instant, health: HostHealth) {
+        self.testimony.note_at(now, Happening::Host(&health));
         self.note_time(now);
         self.health.host = health;
     }

@@ -19,6 +19,7 @@ use crate::frames::Point;
 use crate::params::Params;
 use crate::shell::can::{BusState, Received, SendFault};
 use crate::shell::load::LoadMeter;
+use crate::shell::logbook::Recorder;
 use crate::shell::simulator::log;
 use crate::time::{Duration, Instant};
 use crate::wire::can::CanFrame;
@@ -93,6 +94,8 @@ pub struct Outside {
     pub pulse: Arc<Pulse>,
     /// Counts the lines that the log had no room for.
     pub log_dropped: Box<dyn Fn() -> u64 + Send>,
+    /// Writes the drive down; the core has its witness.
+    pub recorder: Option<Recorder>,
 }
 
 /// What a run is for.
@@ -398,6 +401,9 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
     }
 
     fn put_params(&mut self) {
+        if let Some(recorder) = &self.outside.recorder {
+            recorder.note_params(self.timing.now(), Arc::clone(&self.params));
+        }
         self.core.set_params(self.params.core());
         self.worker.set_params(PlanningParams {
             planner: self.params.planner(),
@@ -678,6 +684,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             guard_stops: core.guard_stops,
             frames: self.frames(),
             log_dropped: (self.outside.log_dropped)(),
+            record_dropped: self.outside.recorder.as_ref().map_or(0, Recorder::dropped),
             ..Summary::default()
         };
         self.statistics.fill(now, &mut summary);
