@@ -573,6 +573,9 @@ impl Autopilot {
         self.catch_up_with_car(now);
         let number = self.take_number();
         let granted_s = self.grant.granted_s(self.params.autopilot.plan_budget_s);
+        // It starts on the newest plan, so not before that one is driven.
+        let takes_over = self.tick_from(now.offset_by(granted_s));
+        let takes_over = self.committed.pending_from().map_or(takes_over, |at| at.max(takes_over));
         self.in_flight = Some(InFlight { number, since: now, goal, void: false, outdated: false });
         self.job = Some(PlanRequest {
             number,
@@ -581,7 +584,7 @@ impl Autopilot {
             scan_stamp,
             scan_pose,
             committed: Arc::clone(self.committed.newest()),
-            takes_over: self.tick_from(now.offset_by(granted_s)),
+            takes_over,
             goal,
             speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
             fence: Arc::clone(&self.fence),

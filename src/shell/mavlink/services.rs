@@ -32,8 +32,14 @@ pub fn services(
 /// Lets the vehicle take up what stations said of origin and home before, and keep it.
 pub fn keep_places(ground: &mut Ground, state_directory: Option<&Path>) {
     let kept = kept_text(state_directory, SAID_PLACES);
-    if let Err(fault) = ground.keep_places(keeper(state_directory), kept.as_deref()) {
-        tracing::warn!("{SAID_PLACES} in the state directory is passed over: {fault}");
+    match ground.keep_places(keeper(state_directory), kept.as_deref()) {
+        Err(fault) => {
+            tracing::warn!("{SAID_PLACES} in the state directory is passed over: {fault}")
+        }
+        Ok(()) if kept.is_some() => {
+            tracing::info!("origin and home are those that ground stations set in an earlier run");
+        }
+        Ok(()) => {}
     }
 }
 
