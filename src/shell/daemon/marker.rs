@@ -19,8 +19,15 @@ impl Marker {
     pub fn set(directory: &Path) -> std::io::Result<Self> {
         let file = directory.join(NAME);
         let after_crash = file.try_exists()?;
-        std::fs::write(&file, format!("{}\n", std::process::id()))?;
-        Ok(Self { file, after_crash })
+        if after_crash {
+            // Another user's, say, of a run by hand: it cannot be written over, but taken away. Where
+            // it can't be, it is a mark all the same.
+            let _ = std::fs::remove_file(&file);
+        }
+        match std::fs::write(&file, format!("{}\n", std::process::id())) {
+            Err(error) if !after_crash => Err(error),
+            _ => Ok(Self { file, after_crash }),
+        }
     }
 
     /// The run has ended as it should.
@@ -42,6 +49,10 @@ mod tests {
         let second = Marker::set(directory.path()).unwrap();
         assert!(second.after_crash);
         second.remove().unwrap();
+        // One that cannot be written: a folder stands in its place.
+        std::fs::create_dir(directory.path().join(NAME)).unwrap();
+        assert!(Marker::set(directory.path()).unwrap().after_crash);
+        std::fs::remove_dir(directory.path().join(NAME)).unwrap();
         assert!(!Marker::set(directory.path()).unwrap().after_crash);
         assert!(Marker::set(&directory.path().join("none")).is_err());
     }
