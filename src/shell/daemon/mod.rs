@@ -149,14 +149,13 @@ pub fn run(
         recorder: None,
     };
     let records = logs.filter(|_| params.daemon.record);
-    let watched = state_directory.iter().chain(&records).cloned().collect();
     let keeper = Keeper {
         orders: orders.clone(),
         words: when_said,
         pulse,
         load: Box::new(load),
         config: args.config.clone(),
-        watched,
+        watched: state_directory.into_iter().collect(),
         disk_free_min: keeper::disk_free_min(&params),
         tick_rate_hz: params.autopilot.control_rate_hz,
     };
@@ -237,11 +236,15 @@ fn control_thread(
         });
         let made = clock.now();
         let mut core = Autopilot::new(params.core(), layout, start, made);
-        // Its thread must not inherit the priority.
+        // Here, where nothing is due yet: it waits for the disk, and its thread must not inherit the
+        // priority.
         let logbook = record.begin(&params, start, task.goal, made);
         if let Some(logbook) = &logbook {
             core.set_witness(logbook.recorder().scribe(record.readings));
             outside.recorder = Some(logbook.recorder().clone());
+            if let Some(folder) = record.folder {
+                let _ = outside.words.send(Word::Recording(folder));
+            }
         }
         realtime::raise_priority(params.daemon.priority);
         let summary = Control::new(core, params, link, timing, worker, outside, task).run().await;
