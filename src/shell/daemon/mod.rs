@@ -248,8 +248,8 @@ fn control_thread(
         }
         realtime::raise_priority(params.daemon.priority);
         let summary = Control::new(core, params, link, timing, worker, outside, task).run().await;
-        // Why it was not written to the end has been said.
-        let _ = logbook.map(Logbook::close);
+        // The last setpoint has been sent. What went wrong has been said.
+        let _ = logbook.map(Logbook::close_soon);
         Ok(summary)
     })
 }
@@ -275,6 +275,7 @@ impl Record {
             part_bytes: megabytes(params.daemon.log_part_mb),
             kept_bytes: megabytes(params.daemon.log_kept_mb),
             kept_files: params.daemon.log_kept_files as usize,
+            free_min: keeper::disk_free_min(params),
         };
         let header = Header {
             build: env!("CARGO_PKG_VERSION").to_owned(),
