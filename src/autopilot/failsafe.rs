@@ -342,7 +342,8 @@ pub const TABLE: &[Row] = &[
     },
     Row {
         fault: Fault::DiskFull,
-        detection: "the log cannot be written for want of space; no drive begins without a log",
+        detection: "less free space than `daemon.disk_free_min_mb` on the disk of the state directory or \
+                    of a log being written; the car cannot be armed meanwhile",
         after_s: |_| 0.0,
         action: Action::Report,
         clears: Clears::ByItself,

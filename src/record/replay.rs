@@ -434,6 +434,8 @@ impl Replay {
     fn hold(&mut self, mut request: PlanRequest, extra_until: Option<Instant>) {
         if let Some(older) = self.pending.take() {
             request.changed = request.changed.union(&older.request.changed);
+            // They were for the one after it, which this is.
+            self.renew_params();
         }
         self.pending = Some(Pending { request, extra_until });
     }

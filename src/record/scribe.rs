@@ -13,29 +13,34 @@ use crate::time::{Duration, Instant};
 const STATE_PERIOD: Duration = Duration::from_millis(50);
 
 /// What the planner's clock showed during the step under way. A step whose prediction takes too long
-/// goes on without: there, and only there, the clock has a say in a plan.
+/// goes on without: there, and only there, the clock has a say in a plan. Nothing is kept until a
+/// [Scribe] begins to forget: nobody else does.
 #[derive(Clone, Debug, Default)]
-pub struct Readings(Arc<Mutex<Vec<Duration>>>);
+pub struct Readings(Arc<Mutex<Option<Vec<Duration>>>>);
 
 impl Readings {
-    /// Keeps what a clock shows.
+    /// Keeps what a clock shows, from the first step on that a [Scribe] has seen begin.
     pub fn keep(&self, clock: Stopwatch) -> Stopwatch {
         let readings = Arc::clone(&self.0);
         Box::new(move || {
             let now = clock();
-            readings.lock().unwrap_or_else(PoisonError::into_inner).push(now);
+            if let Some(kept) = &mut *readings.lock().unwrap_or_else(PoisonError::into_inner) {
+                kept.push(now);
+            }
             now
         })
     }
 
     /// A step begins.
     fn forget(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        let mut readings = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        readings.get_or_insert_default().clear();
     }
 
     /// Time after the reading before, of each.
     fn steps(&self) -> Vec<Duration> {
         let readings = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let readings = readings.as_deref().unwrap_or_default();
         let first = readings.first().copied().unwrap_or_default();
         let before = std::iter::once(first).chain(readings.iter().copied());
         readings.iter().zip(before).map(|(now, before)| now.saturating_sub(before)).collect()
@@ -125,4 +130,31 @@ fn event_json(event: &Event) -> String {
         }
     };
     serde_json::json!({ "event": name, "text": text }).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_a_scribe_nothing_that_a_clock_shows_is_kept() {
+        let readings = Readings::default();
+        let mut passed = 0;
+        let clock = std::sync::atomic::AtomicU64::new(0);
+        let ticking =
+            move || Duration::from_millis(clock.fetch_add(1, std::sync::atomic::Ordering::Relaxed));
+        let clock = readings.keep(Box::new(ticking));
+        for _ in 0..1000 {
+            passed = clock().as_millis();
+        }
+        assert_eq!(passed, 999, "the clock goes on");
+        assert!(readings.0.lock().unwrap().is_none() && readings.steps().is_empty());
+        let mut scribe = Scribe::new(readings.clone(), |_, _| {});
+        for number in 0..3 {
+            scribe.note(Instant::ZERO, Happening::JobAsked { number });
+            let _ = (clock(), clock());
+            let step = Duration::from_millis(1);
+            assert_eq!(readings.steps(), [Duration::ZERO, step], "those of one step");
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! Logs being written, by a thread of their own: whoever hands something over goes on at once.
 
 use std::fs::{self, File, OpenOptions};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -23,6 +23,12 @@ const BATCH_TIME: Duration = Duration::from_millis(50);
 const BATCHES_MAX: usize = 64;
 /// What waits is written at least this often.
 const FLUSH_PERIOD: Duration = Duration::from_millis(100);
+
+/// So much is written at most before the disk is waited for, bytes: all at once would take longer than
+/// the queue lasts.
+const SETTLE_BYTES: u64 = 4 << 20;
+/// A disk that has stalled holds up the end of a drive no longer than this: a watchdog waits for it.
+const CLOSE_TIME: Duration = Duration::from_millis(1500);
 
 /// Why a log is not written, or not any more.
 #[derive(Debug, thiserror::Error)]
@@ -104,7 +110,7 @@ impl Recorder {
         Box::new(Scribe::new(readings, move |at, entry| recorder.note(at, entry)))
     }
 
-    /// Counts the pieces dropped so far.
+    /// Counts the pieces dropped so far, or thrown away because the log could not be written any more.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
@@ -164,8 +170,8 @@ impl Logbook {
 
     fn start(writer: Writer, when_full: WhenFull) -> Result<Self, LogbookError> {
         let (sender, messages) = sync_channel(BATCHES_MAX);
-        let (batch, dropped) = (Arc::default(), Arc::default());
-        let recorder = Recorder { batch, sender, when_full, dropped };
+        let dropped = Arc::clone(&writer.dropped);
+        let recorder = Recorder { batch: Arc::default(), sender, when_full, dropped };
         let path = writer.path.clone();
         let thread = std::thread::Builder::new()
             .name("apexd-record".into())
@@ -202,6 +208,67 @@ impl Logbook {
             }
         }
     }
+
+    /// The same, but whoever ends the log waits a short while at most.
+    ///
+    /// # Errors
+    /// If it, or something before, could not be written, or not in time.
+    pub fn close_soon(self) -> Result<(), LogbookError> {
+        let path = self.path.clone();
+        let fail = |error| LogbookError { path: path.clone(), error };
+        let (say, when_said) = sync_channel(1);
+        std::thread::Builder::new()
+            .name("apexd-close".into())
+            .spawn(move || say.send(self.close()))
+            .map_err(fail)?;
+        when_said.recv_timeout(CLOSE_TIME).unwrap_or_else(|_| {
+            tracing::error!("the log {} could not be ended in time", path.display());
+            Err(fail(io::ErrorKind::TimedOut.into()))
+        })
+    }
+}
+
+/// A file that is written to the disk as it grows, and for which older logs make room.
+struct Page {
+    file: File,
+    /// The folder of logs that it is in, and its own name.
+    shelf: Option<(PathBuf, Limits, PathBuf)>,
+    /// Written since the disk was waited for, bytes.
+    unsettled: u64,
+}
+
+impl Page {
+    /// Makes sure that what was written is on the disk, if it goes to one at all.
+    fn settle(&mut self) -> io::Result<()> {
+        self.unsettled = 0;
+        match self.file.sync_data() {
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            done => done,
+        }
+    }
+}
+
+impl Write for Page {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut written = self.file.write(bytes);
+        if let (Err(error), Some((folder, limits, own))) = (&written, &self.shelf)
+            && error.kind() == io::ErrorKind::StorageFull
+        {
+            // What is to be left free is there for this, too.
+            shelved::make_room(folder, Limits { free_min: 0, ..*limits }, Some(own));
+            written = self.file.write(bytes);
+        }
+        let length = written?;
+        self.unsettled += length as u64;
+        if self.unsettled >= SETTLE_BYTES {
+            self.settle()?;
+        }
+        Ok(length)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
 }
 
 /// The thread's own side.
@@ -210,19 +277,23 @@ struct Writer {
     header: Header,
     made: Instant,
     path: PathBuf,
-    log: Option<LogWriter<File>>,
+    log: Option<LogWriter<Page>>,
+    /// The present part is followed by another one when it is longer, bytes.
+    part_bytes: u64,
+    dropped: Arc<AtomicU64>,
     error: Option<LogbookError>,
     gap_said: bool,
 }
 
 impl Writer {
     fn begin(place: Place, header: Header) -> Result<Self, LogbookError> {
+        let mut part_bytes = u64::MAX;
         let (path, file) = match &place {
             Place::File(path) => (path.clone(), File::create(path)),
             Place::Folder(folder, limits) => {
                 let fail = |error| LogbookError { path: folder.clone(), error };
                 fs::create_dir_all(folder).map_err(fail)?;
-                shelved::make_room(folder, *limits, None);
+                part_bytes = shelved::make_room(folder, *limits, None);
                 new_file(folder, &header.begun_utc).map_err(fail)?
             }
         };
@@ -230,20 +301,26 @@ impl Writer {
             place,
             made: header.made,
             header,
-            path,
+            path: path.clone(),
             log: None,
+            part_bytes,
+            dropped: Arc::default(),
             error: None,
             gap_said: false,
         };
-        match file.and_then(|file| writer.open(file)) {
+        match file.and_then(|file| writer.open(file, path)) {
             Ok(()) => Ok(writer),
             Err(error) => Err(LogbookError { path: writer.path, error }),
         }
     }
 
     /// The file of the present part, with its header on the disk.
-    fn open(&mut self, file: File) -> io::Result<()> {
-        let mut log = LogWriter::new(file)?;
+    fn open(&mut self, file: File, path: PathBuf) -> io::Result<()> {
+        let shelf = match &self.place {
+            Place::File(_) => None,
+            Place::Folder(folder, limits) => Some((folder.clone(), *limits, path)),
+        };
+        let mut log = LogWriter::new(Page { file, shelf, unsettled: 0 })?;
         log.put(self.made, &Entry::Header(Box::new(self.header.clone())))?;
         log.flush()?;
         self.log = Some(log);
@@ -277,7 +354,7 @@ impl Writer {
             }
         }
         if let Some(log) = self.log.take()
-            && let Err(error) = log.close().and_then(|file| settle(&file))
+            && let Err(error) = log.close().and_then(|mut page| page.settle())
         {
             self.fail(error);
         }
@@ -285,7 +362,8 @@ impl Writer {
     }
 
     fn put_gap(&mut self, missing: u64, at: Instant) {
-        if missing == 0 {
+        // Without a log they have been counted, which is all there is to do.
+        if missing == 0 || self.log.is_none() {
             return;
         }
         if !self.gap_said {
@@ -301,14 +379,20 @@ impl Writer {
 
     fn put(&mut self, at: Instant, entry: &Entry) {
         // Without a log what comes is thrown away: it has been said why there is none.
-        let Some(log) = &mut self.log else { return };
+        let Some(log) = &mut self.log else {
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+            return;
+        };
         let put = log.put(at, entry);
         let length = log.length();
         match put {
-            Err(error) => self.fail(error),
+            Err(error) => {
+                self.dropped.fetch_add(1, Ordering::Relaxed);
+                self.fail(error);
+            }
             Ok(()) => {
                 if let Place::Folder(folder, limits) = &self.place
-                    && length >= limits.part_bytes
+                    && length >= self.part_bytes
                 {
                     let (folder, limits) = (folder.clone(), *limits);
                     if let Err(error) = self.turn_over(at, &folder, limits) {
@@ -323,13 +407,12 @@ impl Writer {
     fn turn_over(&mut self, at: Instant, folder: &Path, limits: Limits) -> io::Result<()> {
         let Some(mut log) = self.log.take() else { return Ok(()) };
         log.put(at, &Entry::Continued)?;
-        settle(&log.close()?)?;
+        log.close()?.settle()?;
         self.header.part += 1;
-        let first = self.path.clone();
-        let next = shelved::part_of(&first, self.header.part);
-        shelved::make_room(folder, limits, Some(&next));
-        let file = OpenOptions::new().write(true).create_new(true).open(next)?;
-        self.open(file)
+        let next = shelved::part_of(&self.path, self.header.part);
+        self.part_bytes = shelved::make_room(folder, limits, None);
+        let file = OpenOptions::new().write(true).create_new(true).open(&next)?;
+        self.open(file, next)
     }
 
     fn flush(&mut self) {
@@ -347,18 +430,11 @@ impl Writer {
     }
 }
 
-/// Makes sure that what was written is on the disk, if it goes to one at all.
-fn settle(file: &File) -> io::Result<()> {
-    match file.sync_data() {
-        Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
-        done => done,
-    }
-}
-
-/// A file named after the time. Two programs may begin within the same second.
+/// A file named after the time. Two programs may begin within the same second, or a clock that does
+/// not know the time may show the same one again; further parts of such a run may still be there.
 fn new_file(folder: &Path, time: &str) -> io::Result<(PathBuf, io::Result<File>)> {
     let names = std::iter::once(time.to_owned()).chain((2..).map(|i| format!("{time}-{i}")));
-    for name in names {
+    for name in names.filter(|name| !shelved::is_taken(folder, name)) {
         let path = folder.join(format!("{name}.{}", shelved::EXTENSION));
         match OpenOptions::new().write(true).create_new(true).open(&path) {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}

@@ -21,7 +21,7 @@ fn header() -> Header {
 }
 
 fn limits(part_bytes: u64) -> Limits {
-    Limits { part_bytes, kept_bytes: 10_000_000, kept_files: 100 }
+    Limits { part_bytes, kept_bytes: 10_000_000, kept_files: 100, free_min: 0 }
 }
 
 fn entries(input: impl Read) -> Vec<Entry> {
@@ -75,7 +75,7 @@ fn a_log_that_grows_too_long_goes_on_in_parts_and_every_piece_is_in_one() {
 #[test]
 fn old_parts_make_room_for_new_ones() {
     let folder = tempfile::tempdir().unwrap();
-    let limits = Limits { part_bytes: 20_000, kept_bytes: 100_000, kept_files: 100 };
+    let limits = Limits { part_bytes: 20_000, kept_bytes: 100_000, kept_files: 100, free_min: 0 };
     let place = Place::Folder(folder.path().to_owned(), limits);
     let logbook = Logbook::begin(place, header(), None, WhenFull::Wait).unwrap();
     for number in 0..8000 {
@@ -114,10 +114,12 @@ fn piped() -> (Logbook, File) {
         made: Instant::ZERO,
         path: "pipe".into(),
         log: None,
+        part_bytes: u64::MAX,
+        dropped: Arc::default(),
         error: None,
         gap_said: false,
     };
-    writer.open(into.into()).unwrap();
+    writer.open(into.into(), "pipe".into()).unwrap();
     (Logbook::start(writer, WhenFull::Drop).unwrap(), out.into())
 }
 
@@ -168,5 +170,30 @@ fn a_disk_that_fails_ends_the_log_and_nothing_else() {
     }
     let error = logbook.close().unwrap_err().to_string();
     assert!(error.starts_with("cannot write the log pipe: "), "{error}");
+    // All but what waited for the write that failed.
+    let dropped = recorder.dropped();
+    assert!((30_000..=40_000).contains(&dropped), "{dropped}");
     recorder.note(at(0), Entry::Time);
+}
+
+#[test]
+fn a_disk_that_has_stalled_does_not_hold_up_the_end() {
+    let (logbook, out) = piped();
+    // More than the pipe holds; nobody reads.
+    for number in 0..40_000 {
+        logbook.recorder().note(at(number), Entry::PlanAsked { number });
+    }
+    let error = logbook.close_soon().unwrap_err();
+    assert_eq!(error.error.kind(), io::ErrorKind::TimedOut);
+    drop(out);
+}
+
+#[test]
+fn a_run_whose_first_part_made_room_keeps_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("20260131T235959Z-part2.mcap"), "").unwrap();
+    let place = Place::Folder(folder.path().to_owned(), limits(20_000));
+    let logbook = Logbook::begin(place, header(), None, WhenFull::Wait).unwrap();
+    assert_eq!(logbook.path(), folder.path().join("20260131T235959Z-2.mcap"));
+    logbook.close_soon().unwrap();
 }

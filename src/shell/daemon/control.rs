@@ -2,6 +2,7 @@
 //! core; nothing in it waits for anything but its own events.
 
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -65,6 +66,8 @@ pub enum Word {
     Reload,
     /// What goes on, for the service manager.
     Status(String),
+    /// The drive is written down in this folder.
+    Recording(PathBuf),
     /// The end has begun.
     Stopping,
 }

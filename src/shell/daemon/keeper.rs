@@ -36,7 +36,7 @@ pub struct Keeper {
     pub load: Load,
     /// The file that is watched.
     pub config: Option<PathBuf>,
-    /// Directories whose disks are watched.
+    /// Directories whose disks are watched; that of the logs joins them when a log has been begun.
     pub watched: Vec<PathBuf>,
     /// Least free space, bytes.
     pub disk_free_min: u64,
@@ -59,6 +59,7 @@ impl Keeper {
                     self.reload();
                 }
                 Ok(Word::Status(text)) => notify(&NotifyState::Status(&text)),
+                Ok(Word::Recording(folder)) => self.watched.push(folder),
                 Ok(Word::Stopping) => notify(&NotifyState::Stopping),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return,

@@ -149,14 +149,13 @@ pub fn run(
         recorder: None,
     };
     let records = logs.filter(|_| params.daemon.record);
-    let watched = state_directory.iter().chain(&records).cloned().collect();
     let keeper = Keeper {
         orders: orders.clone(),
         words: when_said,
         pulse,
         load: Box::new(load),
         config: args.config.clone(),
-        watched,
+        watched: state_directory.into_iter().collect(),
         disk_free_min: keeper::disk_free_min(&params),
         tick_rate_hz: params.autopilot.control_rate_hz,
     };
@@ -237,16 +236,20 @@ fn control_thread(
         });
         let made = clock.now();
         let mut core = Autopilot::new(params.core(), layout, start, made);
-        // Its thread must not inherit the priority.
+        // Here, where nothing is due yet: it waits for the disk, and its thread must not inherit the
+        // priority.
         let logbook = record.begin(&params, start, task.goal, made);
         if let Some(logbook) = &logbook {
             core.set_witness(logbook.recorder().scribe(record.readings));
             outside.recorder = Some(logbook.recorder().clone());
+            if let Some(folder) = record.folder {
+                let _ = outside.words.send(Word::Recording(folder));
+            }
         }
         realtime::raise_priority(params.daemon.priority);
         let summary = Control::new(core, params, link, timing, worker, outside, task).run().await;
-        // Why it was not written to the end has been said.
-        let _ = logbook.map(Logbook::close);
+        // The last setpoint has been sent. What went wrong has been said.
+        let _ = logbook.map(Logbook::close_soon);
         Ok(summary)
     })
 }
@@ -272,6 +275,7 @@ impl Record {
             part_bytes: megabytes(params.daemon.log_part_mb),
             kept_bytes: megabytes(params.daemon.log_kept_mb),
             kept_files: params.daemon.log_kept_files as usize,
+            free_min: keeper::disk_free_min(params),
         };
         let header = Header {
             build: env!("CARGO_PKG_VERSION").to_owned(),

@@ -27,9 +27,10 @@ tunables! {
         /// The folder of these logs; if empty, the one that systemd names (LOGS_DIRECTORY), else
         /// `logs` in the state directory, and no logs without one.
         log_directory: String = "", restart;
-        /// A log that is longer goes on in another file.
+        /// A log that is longer goes on in another file; at the latest at half of what may be kept.
         log_part_mb: u32 = 256, restart, in 1..=4000, "MB";
-        /// When all logs together are longer than this, the oldest ones are deleted.
+        /// When all logs together are longer than this, the oldest ones are deleted, as they are when
+        /// the disk has no room for another file and disk_free_min_mb besides.
         log_kept_mb: u32 = 2000, restart, in 2..=10000000, "MB";
         /// When there are more files than this, the oldest ones are deleted.
         log_kept_files: u32 = 100, restart, in 2..=100000, "";

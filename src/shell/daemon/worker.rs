@@ -1,6 +1,5 @@
 //! Planning, beside the control thread.
 
-use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -74,16 +73,62 @@ impl Shared {
     }
 }
 
+/// What waits: no more than this, however many orders come. It is done in this order, so that a
+/// replay can follow it.
 #[derive(Default)]
 struct Orders {
-    /// In the order in which they came, so that a replay can follow it.
-    waiting: VecDeque<Order>,
+    before: Option<Change>,
+    step: Option<Box<PlanRequest>>,
+    behind: Option<Change>,
     end: bool,
+}
+
+impl Orders {
+    fn submit(&mut self, mut request: PlanRequest) {
+        if let Some(older) = self.step.take() {
+            request.changed = request.changed.union(&older.changed);
+        }
+        if let Some(change) = self.behind.take() {
+            Change::add(&mut self.before, change);
+        }
+        self.step = Some(Box::new(request));
+    }
+
+    fn change(&mut self, params: PlanningParams) {
+        let last = if self.step.is_some() { &mut self.behind } else { &mut self.before };
+        Change::add(last, Change { params: Box::new(params), anew: false });
+    }
+
+    fn next(&mut self) -> Option<Order> {
+        if let Some(change) = self.before.take() {
+            return Some(Order::Change(change));
+        }
+        let step = self.step.take()?;
+        self.before = self.behind.take();
+        Some(Order::Step(step))
+    }
+}
+
+/// New values, of one or more changes.
+struct Change {
+    params: Box<PlanningParams>,
+    /// The predictor was another one in between: it takes a new planner even if it is the same again.
+    anew: bool,
+}
+
+impl Change {
+    /// Another one comes behind those that wait.
+    fn add(waiting: &mut Option<Self>, newer: Self) {
+        let anew = waiting
+            .as_ref()
+            .is_some_and(|older| older.anew || older.params.predict != newer.params.predict);
+        *waiting = Some(Self { anew: newer.anew || anew, ..newer });
+    }
 }
 
 enum Order {
     Step(Box<PlanRequest>),
-    Params(Box<PlanningParams>),
+    Change(Change),
 }
 
 /// A planner that has been made.
@@ -156,22 +201,13 @@ impl Drop for ThreadWorker {
 }
 
 impl Worker for ThreadWorker {
-    fn submit(&mut self, mut request: PlanRequest) {
-        let mut orders = self.shared.orders();
-        orders.waiting.retain(|order| match order {
-            Order::Step(older) => {
-                request.changed = request.changed.union(&older.changed);
-                false
-            }
-            Order::Params(_) => true,
-        });
-        orders.waiting.push_back(Order::Step(Box::new(request)));
-        drop(orders);
+    fn submit(&mut self, request: PlanRequest) {
+        self.shared.orders().submit(request);
         self.shared.news.notify_one();
     }
 
     fn set_params(&mut self, params: PlanningParams) {
-        self.shared.orders().waiting.push_back(Order::Params(Box::new(params)));
+        self.shared.orders().change(params);
         self.shared.news.notify_one();
     }
 
@@ -205,7 +241,7 @@ impl Desk {
                     if orders.end {
                         return;
                     }
-                    match orders.waiting.pop_front() {
+                    match orders.next() {
                         Some(order) => break order,
                         None => {
                             let news = &self.shared.news;
@@ -216,8 +252,8 @@ impl Desk {
             };
             let request = match order {
                 Order::Step(request) => request,
-                Order::Params(params) => {
-                    self.change(*params);
+                Order::Change(change) => {
+                    self.change(change);
                     continue;
                 }
             };
@@ -237,9 +273,9 @@ impl Desk {
         }
     }
 
-    fn change(&mut self, params: PlanningParams) {
-        let same_predictor = params.predict == self.params.predict;
-        self.params = params;
+    fn change(&mut self, change: Change) {
+        let same_predictor = !change.anew && change.params.predict == self.params.predict;
+        self.params = *change.params;
         if same_predictor {
             self.planner.set_params(&self.params.planner);
         } else {
@@ -370,14 +406,14 @@ mod tests {
         let mut slower = params();
         slower.planner.speed.speed_max_mps = 1.5;
         // Both come before the worker has looked.
-        let waiting = [
-            Order::Step(Box::new(request(1))),
-            Order::Params(Box::new(slower)),
-            Order::Step(Box::new(request(3))),
-        ];
-        worker.shared.orders().waiting.extend(waiting);
+        {
+            let mut orders = worker.shared.orders();
+            orders.submit(request(1));
+            orders.change(slower);
+        }
         worker.shared.news.notify_one();
         assert_eq!(told(&worker.finished().await), (1, "4".to_owned()));
+        worker.submit(request(3));
         assert_eq!(told(&worker.finished().await), (3, "1.5".to_owned()));
     }
 
@@ -386,17 +422,50 @@ mod tests {
         let mut worker = moody();
         worker.submit(request(4));
         // Until it has been begun.
-        while !worker.shared.orders().waiting.is_empty() {
+        while worker.shared.orders().step.is_some() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         worker.submit(request(9));
         worker.submit(request(7));
         let wait = Duration::from_millis(50);
         assert!(tokio::time::timeout(wait, worker.finished()).await.is_err());
-        let waiting = std::mem::take(&mut worker.shared.orders().waiting);
-        let [Order::Step(waiting)] = &*Vec::from(waiting) else { panic!("one is enough") };
+        let waiting = worker.shared.orders().step.take().unwrap();
         assert_eq!((waiting.number, waiting.changed.x1), (7, 9), "no change is forgotten");
         drop(worker);
+    }
+
+    #[test]
+    fn changes_that_wait_become_one_and_none_is_forgotten() {
+        let with = |speed_max_mps, range_m| {
+            let mut params = params();
+            params.planner.speed.speed_max_mps = speed_max_mps;
+            params.predict.range_m = range_m;
+            params
+        };
+        let mut orders = Orders::default();
+        orders.change(with(1.0, 3.0));
+        orders.change(with(1.5, 3.0));
+        orders.submit(request(7));
+        orders.change(with(2.0, 4.0));
+        orders.change(with(2.5, 3.0));
+        let mut next = || match orders.next() {
+            Some(Order::Change(Change { params, anew })) => {
+                Some((params.planner.speed.speed_max_mps, anew))
+            }
+            Some(Order::Step(request)) => Some((f64::from(request.number), false)),
+            None => None,
+        };
+        let waited = [next(), next(), next(), next()];
+        assert_eq!(waited, [Some((1.5, false)), Some((7.0, false)), Some((2.5, true)), None]);
+        // A step that gives way takes the changes behind it along.
+        orders.change(with(1.0, 3.0));
+        orders.submit(request(7));
+        orders.change(with(2.0, 4.0));
+        orders.submit(request(8));
+        let Some(Order::Change(change)) = orders.next() else { panic!("the changes come first") };
+        assert!(change.anew && change.params.planner.speed.speed_max_mps == 2.0);
+        assert!(matches!(orders.next(), Some(Order::Step(step)) if step.number == 8));
+        assert!(orders.next().is_none());
     }
 
     #[test]

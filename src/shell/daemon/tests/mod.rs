@@ -360,6 +360,7 @@ fn a_long_run_is_repeated_from_the_parts_of_its_log() {
         part_bytes: 300_000,
         kept_bytes: 1_000_000_000,
         kept_files: 1000,
+        free_min: 0,
     };
     let place = crate::shell::logbook::Place::Folder(folder.path().to_owned(), limits);
     let mut setup = Setup { record: Some(place), ..Setup::default() };
