@@ -76,7 +76,7 @@ fn what_is_no_world_is_refused_with_the_reason() {
         ("[-2.25,13.0]", "[-2.25,1e9]", "is no place"),
         ("1.57", "157", "direction is 157"),
         ("\"goal\"", "\"gaol\"", "missing field `goal`"),
-        ("]", "", "expected"),
+        ("}", "", "EOF"),
     ] {
         let error = Field::parse(&good.replacen(from, to, 1)).unwrap_err();
         assert!(error.contains(why), "{error}");
