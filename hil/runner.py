@@ -219,12 +219,12 @@ class Play:
         wall = time.monotonic() - self.began
         self.load = {name: round(cpu / wall, 3) for name, cpu in spent.items() if cpu is not None}
         self.foreign_hz = self.bus.calm()
-        self.end_packets()
         for burden in self.burdens:
             burden.end()
         ends = [daemon.end() for daemon in self.daemons]
         if self.car:
             self.car.end(5.0)
+        self.end_packets()
         if self.disk:
             call("umount", str(self.disk))
         self.truth.read()

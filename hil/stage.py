@@ -236,9 +236,14 @@ class PacketFlood:
         )
 
     def end(self):
-        """How many packets a second were sent."""
-        output, _ = self.child.communicate("\n", timeout=20)
-        return round(float(output), 1)
+        """How many packets a second were sent; 0 if it does not say."""
+        try:
+            output, _ = self.child.communicate("\n", timeout=20)
+            return round(float(output), 1)
+        except (subprocess.TimeoutExpired, ValueError):
+            self.child.kill()
+            self.child.wait()
+            return 0.0
 
 
 class Pulse:

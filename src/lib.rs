@@ -24,6 +24,7 @@ pub mod odometry;
 pub mod params;
 pub mod plan;
 pub mod predict;
+pub mod record;
 pub mod scan;
 pub mod shell;
 pub mod sim;

@@ -587,3 +587,113 @@ fn networks_are_scored_and_get_a_card() {
     evaluate("--model net.onnx --resolution 0.5 --world-resolution 0.25")
         .refused(2, &["0.5 m", "net", "0.25 m"]);
 }
+
+#[test]
+fn a_drive_is_written_down_and_replayed_to_the_last_bit() {
+    let folder = folder();
+    room(folder.path(), |x, y| (2.5..3.0).contains(&x) && y > -0.5);
+    let drive = cross(folder.path(), &["--json", "--out", "out", "--log", "drive.mcap"]);
+    assert_eq!(drive.code, 0, "{}", drive.err);
+    let digest = drive.json()["digest"].clone();
+
+    let same = apexd(folder.path(), &["replay", "drive.mcap", "--json"]);
+    assert_eq!(same.code, 0, "{} {}", same.out, same.err);
+    let json = same.json();
+    assert_eq!((&json["identical"], &json["ended"]), (&true.into(), &"closed".into()));
+    assert_eq!((&json["digest_then"], &json["digest_now"]), (&digest, &digest));
+    assert!(json["frames"].as_u64().unwrap() > 100 && json["plans"].as_u64().unwrap() > 10);
+    assert_eq!(json["first"], serde_json::Value::Null);
+    let said = apexd(folder.path(), &["replay", "drive.mcap"]).out;
+    let begin = format!("identical: {} frames, {} plans\n", json["frames"], json["plans"]);
+    assert!(said.starts_with(&begin), "{said}");
+
+    // Other parameters: no failure, but figures.
+    let set = ["replay", "drive.mcap", "--json", "--set", "speed.speed_max_mps=1"];
+    let other = apexd(folder.path(), &set);
+    assert_eq!((other.code, &other.json()["identical"]), (0, &false.into()), "{}", other.err);
+    assert!(other.json()["setpoints"]["max_n"].as_f64().unwrap() > 0.1, "{}", other.out);
+    let said = apexd(folder.path(), &[&set[..2], &set[3..]].concat()).out;
+    assert!(said.starts_with("different: ") && said.contains("first at"), "{said}");
+    let unknown = apexd(folder.path(), &["replay", "drive.mcap", "--set", "speed.speed_mx=1"]);
+    assert_eq!(unknown.code, 78, "{}", unknown.err);
+    assert!(unknown.err.contains("no such parameter"), "{}", unknown.err);
+
+    // A log whose frames are not what comes out.
+    let log = folder.path().join("drive.mcap");
+    let bytes = std::fs::read(&log).unwrap();
+    let tampered = folder.path().join("tampered.mcap");
+    std::fs::write(&tampered, with_another_frame(&bytes)).unwrap();
+    let found = apexd(folder.path(), &["replay", "tampered.mcap", "--json"]);
+    assert_eq!((found.code, &found.json()["frames_differing"]), (1, &1.into()), "{}", found.err);
+    assert_eq!(found.json()["first"]["what"], "frame");
+
+    // Cut off in the middle, damaged, none at all.
+    std::fs::write(&log, &bytes[..bytes.len() / 2]).unwrap();
+    let cut = apexd(folder.path(), &["replay", "drive.mcap", "--json"]);
+    assert_eq!((cut.code, &cut.json()["ended"]), (0, &"cut-off".into()), "{}", cut.err);
+    let mut damaged = bytes.clone();
+    damaged[bytes.len() / 2] ^= 1;
+    std::fs::write(&log, damaged).unwrap();
+    apexd(folder.path(), &["replay", "drive.mcap"])
+        .refused(2, &["drive.mcap: the log is damaged at byte "]);
+    apexd(folder.path(), &["replay", "room.yaml"]).refused(2, &["no log of apexd"]);
+    apexd(folder.path(), &["replay", "gone.mcap"]).refused(2, &["gone.mcap: cannot read the log"]);
+    let nowhere = cross(folder.path(), &["--out", "out", "--log", "no/such/folder/a.mcap"]);
+    nowhere.refused(2, &["cannot write the log no/such/folder/a.mcap"]);
+}
+
+/// The same log with one bit of a frame sent in its middle changed.
+fn with_another_frame(bytes: &[u8]) -> Vec<u8> {
+    use apexd::record::{Entry, LogReader, LogWriter};
+    let mut log = LogReader::new(bytes).unwrap();
+    let mut entries: Vec<_> = std::iter::from_fn(|| log.read().unwrap()).collect();
+    let middle = entries.len() / 2;
+    let sent = entries[middle..].iter_mut().find_map(|(_, entry)| match entry {
+        Entry::Sent(frame) => Some(frame),
+        _ => None,
+    });
+    sent.unwrap().data_mut()[0] ^= 1;
+    let mut out = LogWriter::new(Vec::new()).unwrap();
+    entries.iter().for_each(|(at, entry)| out.put(*at, entry).unwrap());
+    out.close().unwrap()
+}
+
+#[test]
+fn the_log_of_a_killed_drive_is_replayed_up_to_its_end() {
+    let folder = folder();
+    room(folder.path(), |_, _| false);
+    let arguments = [
+        "sil",
+        "--map",
+        "room.yaml",
+        "--start",
+        "0,0,0",
+        "--goal",
+        "6,0",
+        "--out",
+        "out",
+        "--log",
+        "drive.mcap",
+        "--realtime",
+        "--speed-max",
+        "0.3",
+        "--set",
+        "predict.kind=none",
+    ];
+    let mut child = command(folder.path(), &arguments).stderr(Stdio::null()).spawn().unwrap();
+    let log = folder.path().join("drive.mcap");
+    let begin = Instant::now();
+    let length = || log.metadata().map_or(0, |about| about.len());
+    while length() < 300_000 {
+        assert!(begin.elapsed() < Duration::from_secs(300), "{} bytes", length());
+        assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let ran = apexd(folder.path(), &["replay", "drive.mcap", "--json"]);
+    assert_eq!(ran.code, 0, "{} {}", ran.out, ran.err);
+    let json = ran.json();
+    assert_eq!((&json["identical"], &json["ended"]), (&true.into(), &"cut-off".into()));
+    assert!(json["frames"].as_u64().unwrap() > 100, "{json}");
+}

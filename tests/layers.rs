@@ -95,7 +95,8 @@ const MAY_USE: &[(&str, &[&str])] = &[
             "params",
         ],
     ),
-    ("record", &["wire"]),
+    // To replay is to feed the core.
+    ("record", &["wire", "map", "predict", "plan", "autopilot", "params"]),
     (
         "shell",
         &[

@@ -1,6 +1,6 @@
 //! What a person or a ground station wants, and what becomes of it.
 
-use super::{Autopilot, Clears, Command, Fault, Mode, Refusal};
+use super::{Autopilot, Clears, Command, Fault, Happening, Mode, Refusal};
 use crate::plan::Goal;
 use crate::time::Instant;
 
@@ -10,6 +10,7 @@ impl Autopilot {
     /// # Errors
     /// Why it is not done.
     pub fn handle_command(&mut self, now: Instant, command: Command) -> Result<(), Refusal> {
+        self.testimony.note_at(now, Happening::Command(&command));
         let ends =
             matches!(command, Command::Disarm | Command::Terminate | Command::StationLost(_));
         if self.faults.contains(Fault::Terminated) && !ends {

@@ -41,6 +41,11 @@ impl Committed {
         self.next.as_ref()
     }
 
+    /// When the pending plan takes over.
+    pub fn pending_from(&self) -> Option<Instant> {
+        self.next.as_ref().map(|_| self.takes_over)
+    }
+
     /// The plan that will be driven at the end of all that is decided.
     pub fn newest(&self) -> &Arc<Plan> {
         self.next.as_ref().unwrap_or(&self.current)

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::Autopilot;
+use super::{Autopilot, Happening};
 use crate::fence::Fence;
 use crate::map::Grid;
 use crate::time::Instant;
@@ -11,6 +11,7 @@ impl Autopilot {
     /// Where the car may drive from now on. A plan that leads out of there is shortened, or, if the
     /// car cannot stop before, is given up like one with an obstacle on it.
     pub fn set_fence(&mut self, now: Instant, fence: Arc<Fence>) {
+        self.testimony.note_at(now, Happening::Fence(&fence));
         if self.fence == fence {
             return;
         }

@@ -30,7 +30,7 @@ impl Grant {
         if self.took_s.len() == STEPS {
             self.took_s.pop_front();
         }
-        self.took_s.push_back(took_s);
+        self.took_s.push_back(took_s.max(0.0));
     }
 
     /// What the next step is granted, at most `most_s`; seconds.

@@ -9,22 +9,24 @@ use super::failsafe::{
     SCAN_LATE_SHARE, SCAN_MISSING_SHARE, STATUS_TIMEOUT_S, TAIL_SUPERSEDED_S, TAIL_TIMEOUT_S,
     UNSENT_PER_S, WINDOW_S, odometry_late_s,
 };
-use super::{Action, Autopilot, Clears, Event, Fault, Mode, REST_SPEED_MPS, Refusal};
+use super::{Action, Autopilot, Clears, Event, Fault, Happening, Mode, REST_SPEED_MPS, Refusal};
 use crate::command::CarStatus;
 use crate::scan::Odometry;
 use crate::time::Instant;
 use crate::vehicle::VehicleParams;
 use crate::wire::can::{CarHeartbeat, INTERFACE_VERSION, WireError};
 
-/// How a CAN controller takes part in the traffic.
+/// How a CAN controller takes part in the traffic: its state of error confinement (ISO 11898-1), the
+/// worse the later.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BusState {
     /// It sends, receives and marks errors.
     #[default]
     Active,
-    /// After many errors: it may no longer mark errors of others, and waits longer.
+    /// After many errors (a counter has reached 128): it may no longer mark errors of others, and
+    /// waits longer.
     Passive,
-    /// After too many errors: it takes no part any more.
+    /// After too many errors in sending, or with its interface down: it takes no part any more.
     Off,
 }
 
@@ -210,6 +212,7 @@ impl Autopilot {
     /// What the driver of the bus says about it: at every change, and at least every 100 ms while
     /// there are errors.
     pub fn handle_bus_health(&mut self, now: Instant, health: BusHealth) {
+        self.testimony.note_at(now, Happening::Bus(&health));
         self.note_time(now);
         let before = std::mem::replace(&mut self.health.bus, health);
         let errors = health.error_frames.saturating_sub(before.error_frames);
@@ -223,6 +226,7 @@ impl Autopilot {
 
     /// What the computer says about itself, at every change.
     pub fn handle_host_health(&mut self, now: Instant, health: HostHealth) {
+        self.testimony.note_at(now, Happening::Host(&health));
         self.note_time(now);
         self.health.host = health;
     }

@@ -16,6 +16,7 @@ mod grant;
 mod health;
 mod mode;
 mod reconfigure;
+mod witness;
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,6 +27,7 @@ pub use event::{Command, Event, Refusal, Statistics};
 pub use failsafe::{Action, ActiveFaults, Clears, Fault, Row, TABLE};
 pub use health::{BusHealth, BusState, HostHealth};
 pub use mode::Mode;
+pub use witness::{Happening, Witness};
 
 use crate::command::ForceSetpoint;
 use crate::control::{ControlParams, Tracker, TrackingError, braking_tail};
@@ -152,6 +154,7 @@ pub struct Autopilot {
     last_error: TrackingError,
     fence: Arc<Fence>,
     painter: FencePainter,
+    testimony: witness::Testimony,
 }
 
 /// The newest of everything that comes in.
@@ -227,6 +230,7 @@ impl Autopilot {
             last_error: TrackingError::default(),
             fence: Arc::default(),
             painter: FencePainter::default(),
+            testimony: witness::Testimony::default(),
             params,
         }
     }
@@ -301,6 +305,7 @@ impl Autopilot {
 
     /// A frame arrived at `now` (the moment at which it came, even if it had to wait).
     pub fn handle_frame(&mut self, now: Instant, frame: &CanFrame) {
+        self.testimony.note_at(now, Happening::Frame(frame));
         self.note_time(now);
         self.note_frame(now);
         let message = self.decoder.decode(now, frame);
@@ -402,6 +407,7 @@ impl Autopilot {
 
     /// A planning job came back.
     pub fn handle_job_done(&mut self, now: Instant, report: StepReport) {
+        self.testimony.note_at(now, Happening::JobDone(&report));
         self.note_time(now);
         let Some(job) = self.in_flight.take_if(|job| job.number == report.number) else { return };
         self.grant.note(now.seconds_after(job.since));
@@ -476,6 +482,7 @@ impl Autopilot {
 
     /// Time has passed; does what is due.
     pub fn handle_time(&mut self, now: Instant) {
+        self.testimony.note_at(now, Happening::Time);
         self.note_time(now);
         if now >= self.next_tick {
             self.note_tick(now, self.next_tick);
@@ -484,6 +491,7 @@ impl Autopilot {
             let missed = (now.seconds_after(self.next_tick) / tick_s).floor();
             self.next_tick = self.next_tick.offset_by((missed + 1.0) * tick_s);
             self.tick(now);
+            self.testify_state(now);
         } else if self.next_tick.seconds_after(now) > GAP_S {
             // Time runs back: nothing is done until it has caught up, and the car, which hears
             // nothing any more, stops by itself.
@@ -500,17 +508,23 @@ impl Autopilot {
 
     /// The next frame to send.
     pub fn poll_frame(&mut self) -> Option<CanFrame> {
-        self.frames.pop_front()
+        let frame = self.frames.pop_front()?;
+        self.testimony.note(Happening::Sent(&frame));
+        Some(frame)
     }
 
     /// The next planning job to run.
     pub fn poll_job(&mut self) -> Option<PlanRequest> {
-        self.job.take()
+        let job = self.job.take()?;
+        self.testimony.note(Happening::JobAsked { number: job.number });
+        Some(job)
     }
 
     /// The next thing to log.
     pub fn poll_event(&mut self) -> Option<Event> {
-        self.events.pop_front()
+        let event = self.events.pop_front()?;
+        self.testimony.note(Happening::Event(&event));
+        Some(event)
     }
 
     // ---- inside
@@ -559,6 +573,9 @@ impl Autopilot {
         self.catch_up_with_car(now);
         let number = self.take_number();
         let granted_s = self.grant.granted_s(self.params.autopilot.plan_budget_s);
+        // It starts on the newest plan, so not before that one is driven.
+        let takes_over = self.tick_from(now.offset_by(granted_s));
+        let takes_over = self.committed.pending_from().map_or(takes_over, |at| at.max(takes_over));
         self.in_flight = Some(InFlight { number, since: now, goal, void: false, outdated: false });
         self.job = Some(PlanRequest {
             number,
@@ -567,7 +584,7 @@ impl Autopilot {
             scan_stamp,
             scan_pose,
             committed: Arc::clone(self.committed.newest()),
-            takes_over: self.tick_from(now.offset_by(granted_s)),
+            takes_over,
             goal,
             speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
             fence: Arc::clone(&self.fence),

@@ -1,6 +1,6 @@
 //! New parameters for a running core, and jobs that will never come back.
 
-use super::{Autopilot, CoreParams, Fault, Mode};
+use super::{Autopilot, CoreParams, Fault, Happening, Mode};
 use crate::control::Tracker;
 use crate::time::{Duration, Instant};
 
@@ -26,6 +26,7 @@ impl Autopilot {
 
     /// A planning job that was asked for will never be answered.
     pub fn handle_job_lost(&mut self, now: Instant, number: u32) {
+        self.testimony.note_at(now, Happening::JobLost { number });
         if self.in_flight.take_if(|job| job.number == number).is_some() {
             self.raise(now, Fault::PlannerLate);
         }

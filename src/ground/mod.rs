@@ -440,11 +440,11 @@ impl Ground {
                 MavCmd::MAV_CMD_DO_SET_HOME | MavCmd::MAV_CMD_DO_SET_GLOBAL_ORIGIN
             );
         if places {
-            match wanted.command {
-                MavCmd::MAV_CMD_DO_SET_HOME => self.said.home = self.home,
-                _ => self.said.origin = self.origin,
-            }
-            self.keep_said();
+            let said = match wanted.command {
+                MavCmd::MAV_CMD_DO_SET_HOME => SaidPlaces { home: self.home, ..self.said },
+                _ => SaidPlaces { origin: self.origin, ..self.said },
+            };
+            self.keep_said(said);
         }
         // The order matters to ground stations: first the acknowledgement, then the message.
         let asked = step.is_ok().then(|| self.asked_message(&wanted)).flatten();
@@ -597,8 +597,7 @@ impl Ground {
         match place {
             Ok(place) => {
                 self.origin = Some(Origin { place, altitude_m });
-                self.said.origin = self.origin;
-                self.keep_said();
+                self.keep_said(SaidPlaces { origin: self.origin, ..self.said });
                 self.show_places(now);
             }
             Err(denial) => {
@@ -608,7 +607,11 @@ impl Ground {
         }
     }
 
-    fn keep_said(&mut self) {
+    /// Stations repeat themselves: only news is written.
+    fn keep_said(&mut self, said: SaidPlaces) {
+        if std::mem::replace(&mut self.said, said) == said {
+            return;
+        }
         let Some(keeper) = &mut self.place_keeper else { return };
         let text = self.said.text(configured_origin(&self.params));
         if let Err(why) = keeper.keep(SAID_PLACES, &text) {

@@ -70,7 +70,7 @@ impl<'a> Clearance<'a> {
         let cap_m = cap_m.min(self.field.cap_m());
         let cell = self.grid.cell_at(p);
         if !self.grid.bounds().contains(cell) {
-            return self.from_outside(p, cap_m);
+            return self.outside(p, cap_m);
         }
         let resolution = self.grid.resolution_m();
         let centres = f64::from(self.field.distance_m(cell));
@@ -88,7 +88,7 @@ impl<'a> Clearance<'a> {
     }
 
     /// [`at_up_to`](Self::at_up_to) for a point outside the bounds, where everything is unknown.
-    fn from_outside(&self, p: Point, cap_m: f64) -> f64 {
+    fn outside(&self, p: Point, cap_m: f64) -> f64 {
         let bounds = self.grid.bounds();
         if self.field.blocking().blocks(Cell::Unknown) {
             return 0.0;
@@ -97,7 +97,8 @@ impl<'a> Clearance<'a> {
             return cap_m;
         }
         let resolution = self.grid.resolution_m();
-        let side = |low: i32, high: i32| (f64::from(low) * resolution, f64::from(high) * resolution);
+        let side =
+            |low: i32, high: i32| (f64::from(low) * resolution, f64::from(high) * resolution);
         let ((x0, x1), (y0, y1)) = (side(bounds.x0, bounds.x1), side(bounds.y0, bounds.y1));
         // The bounds are convex: with q the nearest point of them, |po|^2 >= |pq|^2 + |qo|^2 for
         // all o in them. A hair inside, q lies in a cell.

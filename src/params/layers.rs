@@ -260,7 +260,12 @@ impl Layers {
 
 /// Values as a file that [`Layers::kept`] reads.
 pub fn kept_text(values: &BTreeMap<String, Value>) -> String {
-    let mut out = String::from("# Set by ground stations; over the configuration file.\n");
+    format!("# Set by ground stations; over the configuration file.\n{}", toml_text(values))
+}
+
+/// Values as a TOML file that [`Layers::file`] reads, exact to the last bit.
+pub fn toml_text(values: &BTreeMap<String, Value>) -> String {
+    let mut out = String::new();
     let mut last = "";
     for (key, value) in values {
         let Some((section, name)) = key.split_once('.') else { continue };

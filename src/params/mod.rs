@@ -11,7 +11,7 @@ mod layers;
 
 pub use fault::{Fault, Faults, Origin, Problem};
 pub use ids::{ID_LENGTH, id_of, ids};
-pub use layers::{ENVIRONMENT_PREFIX, Layers, kept_text};
+pub use layers::{ENVIRONMENT_PREFIX, Layers, kept_text, toml_text};
 
 use crate::autopilot::CoreParams;
 use crate::plan::PlannerParams;

@@ -194,6 +194,21 @@ pub fn build(
     })
 }
 
+/// SHA-256 of the network that the parameters name, hexadecimal; empty if none is asked for, or if it
+/// cannot be read.
+pub fn network_digest(params: &PredictParams) -> String {
+    use sha2::Digest;
+    let bytes = match (params.kind, &*params.model) {
+        (PredictorKind::Cnp, "") => SHIPPED.to_vec(),
+        (PredictorKind::Cnp, file) => std::fs::read(file).unwrap_or_default(),
+        _ => Vec::new(),
+    };
+    if bytes.is_empty() {
+        return String::new();
+    }
+    sha2::Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 fn learned(params: &PredictParams) -> Result<Box<dyn Predictor>, PredictError> {
     match load(params) {
         Ok(network) => Ok(Box::new(CnpPredictor::new(network, params))),

@@ -24,7 +24,8 @@ use socketcan::{CanAddr, CanFdSocket, Socket, SocketOptions};
 use tokio::io::Interest;
 use tokio::io::unix::AsyncFd;
 
-pub use fault::{BusFault, BusState, ErrorClass, ErrorClasses};
+pub use crate::autopilot::BusState;
+pub use fault::{BusFault, ErrorClass, ErrorClasses};
 use raw::Raw;
 use stamps::Stamps;
 

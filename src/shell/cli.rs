@@ -63,6 +63,12 @@ pub enum Command {
     Evaluate(Box<EvaluateArgs>),
     /// Re-run the paper's experiments, or look for unsafe drives at random.
     Experiment(ExperimentArgs),
+    /// Feed the log of a drive to the autopilot again, and compare what it does.
+    ///
+    /// The log is one of `apexd sil --log` or of the daemon (`apexd run`). Exit codes: 0 everything
+    /// is to the last bit what it was (or --set was given), 1 something differs or a part of the log
+    /// is missing, 2 the log cannot be read or replayed.
+    Replay(ReplayArgs),
     /// Print the table of parameters.
     Params(ParamsArgs),
     /// Say what is wrong with a configuration file.
@@ -203,6 +209,9 @@ pub struct SilArgs {
     /// Folder for pictures and figures; runs/<UTC time> if not given.
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub out: Option<PathBuf>,
+    /// Write a log of the drive to this file, for `apexd replay`.
+    #[arg(long, value_name = "FILE.mcap", help_heading = "Output")]
+    pub log: Option<PathBuf>,
     /// Print the figures as one JSON object instead of the summary.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
@@ -251,6 +260,7 @@ impl SilArgs {
             snapshot_s: self.snapshot,
             params,
             out,
+            log: self.log.clone(),
         }
     }
 }
@@ -559,6 +569,26 @@ impl EvaluateArgs {
 /// The last part of a path, without the extension of a file.
 fn last_name(path: &Path) -> String {
     path.file_stem().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into())
+}
+
+/// Options of `apexd replay`.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// The log, or its first part; further parts are read from files beside it.
+    #[arg(value_name = "FILE.mcap")]
+    pub file: PathBuf,
+    /// Set one parameter, over those of the log, to see what would have come of it; may be repeated.
+    /// The car still moves as it did then. Differences are no failure then.
+    #[arg(
+        long,
+        value_name = "SECTION.KEY=VALUE",
+        allow_hyphen_values = true,
+        help_heading = "Configuration"
+    )]
+    pub set: Vec<String>,
+    /// Print the comparison as one JSON object.
+    #[arg(long, help_heading = "Output")]
+    pub json: bool,
 }
 
 /// Options of `apexd params`.

@@ -21,6 +21,8 @@ pub struct Flag {
 
 /// What ground stations set is kept in this file of the state directory.
 const KEPT: &str = crate::ground::KEPT_PARAMETERS;
+/// The folder of the state directory that logs are in.
+const LOGS: &str = "logs";
 
 /// Defaults, file, what ground stations set, environment, `--set` and options, each over the one
 /// before.
@@ -104,11 +106,25 @@ pub fn kept(state_directory: Option<&Path>) -> BTreeMap<String, Value> {
 
 /// Where a program keeps what it must remember; of several directories from systemd the first.
 pub fn state_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
-    let configured = &params.daemon.state_directory;
+    directory(&params.daemon.state_directory, "STATE_DIRECTORY", environment)
+}
+
+/// The folder of logs, if there is to be one.
+pub fn log_directory(params: &Params, environment: &[(OsString, OsString)]) -> Option<PathBuf> {
+    directory(&params.daemon.log_directory, "LOGS_DIRECTORY", environment)
+        .or_else(|| Some(state_directory(params, environment)?.join(LOGS)))
+}
+
+/// What is configured, or what systemd says.
+fn directory(
+    configured: &str,
+    variable: &str,
+    environment: &[(OsString, OsString)],
+) -> Option<PathBuf> {
     if !configured.is_empty() {
         return Some(configured.into());
     }
-    let (_, value) = environment.iter().find(|(name, _)| name == "STATE_DIRECTORY")?;
+    let (_, value) = environment.iter().find(|(name, _)| name == variable)?;
     let first = value.to_str()?.split(':').next()?;
     (!first.is_empty()).then(|| first.into())
 }
@@ -125,4 +141,29 @@ fn read(layers: &mut Layers, file: &Path) {
         Ok(text) => layers.file(&shown(file), &text),
         Err(error) => layers.unreadable_file(&shown(file), &error),
     };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn logs_go_where_the_parameter_says_or_systemd_or_into_the_state_directory() {
+        let environment = |pairs: &[(&str, &str)]| -> Vec<(OsString, OsString)> {
+            pairs.iter().map(|(name, value)| ((*name).into(), (*value).into())).collect()
+        };
+        let mut params = Params::default();
+        let logs = |params: &Params, pairs: &[(&str, &str)]| {
+            log_directory(params, &environment(pairs)).map(|path| shown(&path))
+        };
+        let state = ("STATE_DIRECTORY", "/var/lib/apexd");
+        assert_eq!(logs(&params, &[]), None);
+        assert_eq!(logs(&params, &[state]).as_deref(), Some("/var/lib/apexd/logs"));
+        let both = [state, ("LOGS_DIRECTORY", "/var/log/apexd:/elsewhere")];
+        assert_eq!(logs(&params, &both).as_deref(), Some("/var/log/apexd"));
+        params.daemon.state_directory = "/state".into();
+        assert_eq!(logs(&params, &[]).as_deref(), Some("/state/logs"));
+        params.daemon.log_directory = "/logs".into();
+        assert_eq!(logs(&params, &both).as_deref(), Some("/logs"));
+    }
 }

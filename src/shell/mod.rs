@@ -12,11 +12,14 @@ mod evaluate;
 mod experiment;
 mod folder;
 mod load;
+mod logbook;
 pub mod mavlink;
 mod pace;
 pub mod place;
 mod progress;
+mod replay;
 pub mod report;
+mod shelved;
 pub mod sil;
 mod simulator;
 mod watch;
@@ -85,6 +88,7 @@ fn execute(
         Command::Dataset(args) => dataset::run(args, terminal, out),
         Command::Evaluate(args) => evaluate::run(args, terminal, out),
         Command::Experiment(args) => experiment::run(args, terminal, out),
+        Command::Replay(args) => replay::run(args, terminal, out),
         Command::Params(args) => params(*args, out),
         Command::Check(args) => check(args, out),
     }

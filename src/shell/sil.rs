@@ -33,6 +33,8 @@ pub struct SilRequest {
     pub params: Params,
     /// Folder for the report; it exists.
     pub out: PathBuf,
+    /// Log from which the drive can be replayed.
+    pub log: Option<PathBuf>,
 }
 
 impl SilRequest {

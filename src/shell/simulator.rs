@@ -3,18 +3,23 @@
 
 use std::path::Path;
 
+use super::logbook::{self, Logbook, LogbookError, WhenFull};
 use super::mavlink::Attended;
-use super::pace;
 use super::place::{MAZE_RESOLUTION_M, Place, warn_of_load};
 use super::report::{DriveRecord, outline};
 use super::sil::{Progress, RunError, SilRequest, Simulator, input};
+use super::{folder, pace};
 use crate::autopilot::{Action, Event};
-use crate::frames::Point;
+use crate::frames::{Point, Pose};
 use crate::mapfile;
+use crate::plan::Policy;
+use crate::predict::{self, PredictorKind};
+use crate::record::{Header, Readings, Source, params_text};
 use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
-use crate::sim::rig::{Rig, RigSetup};
+use crate::sim::rig::{Latency, Rig, RigSetup, grid_of};
 use crate::sim::world::World;
+use crate::time::Instant;
 
 /// Simulated time between two looks at the progress, seconds.
 const PROGRESS_PERIOD_S: f64 = 0.1;
@@ -43,8 +48,20 @@ impl Simulator for RigSimulator {
         } else {
             Some(Attended::start(&request.params, &request.links, start).map_err(input)?)
         };
-        let mut rig = Rig::new(setup(request, place, goal)).map_err(input)?;
+        let readings = Readings::default();
+        let given = goal;
+        let mut rig = Rig::new(setup(request, place, goal, &readings)).map_err(input)?;
         rig.keep_snapshot(request.snapshot_s);
+        let logbook = match &request.log {
+            Some(path) => Some(begin_log(path, request, &rig, start, given).map_err(input)?),
+            None => None,
+        };
+        if let Some(logbook) = &logbook {
+            rig.core_mut().set_witness(logbook.recorder().scribe(readings));
+            if let Some(attended) = &mut attended {
+                attended.recorder = Some(logbook.recorder().clone());
+            }
+        }
 
         let begin = pace::now();
         let mut next_progress_s = 0.0;
@@ -71,6 +88,9 @@ impl Simulator for RigSimulator {
         })
         .map_err(|error| RunError::Failed(error.into()))?;
         let wall_s = begin.elapsed().as_secs_f64();
+        if let Some(logbook) = logbook {
+            logbook.close().map_err(|error| RunError::Failed(error.into()))?;
+        }
 
         let vehicle = &request.params.vehicle;
         Ok(DriveRecord {
@@ -94,7 +114,38 @@ impl Simulator for RigSimulator {
     }
 }
 
-fn setup(request: &SilRequest, place: Place, goal: Option<Point>) -> RigSetup {
+/// Begins the log of a drive.
+fn begin_log(
+    path: &Path,
+    request: &SilRequest,
+    rig: &Rig,
+    start: Pose,
+    goal: Option<Point>,
+) -> Result<Logbook, LogbookError> {
+    let mut params = request.params.clone();
+    if let Latency::Fixed(seconds) = request.latency {
+        // As the rig has it.
+        params.autopilot.plan_budget_s = seconds.max(1e-3);
+    }
+    let needs_truth = params.plan.policy == Policy::KnownMap
+        || matches!(params.predict.kind, PredictorKind::Oracle | PredictorKind::Inverted);
+    let truth = needs_truth.then(|| grid_of(rig.world(), params.map.resolution_m));
+    let header = Header {
+        build: env!("CARGO_PKG_VERSION").to_owned(),
+        source: Source::Sil,
+        begun_utc: folder::now(),
+        made: Instant::ZERO,
+        start,
+        goal,
+        seed: request.seed,
+        params: params_text(&params),
+        network: predict::network_digest(&params.predict),
+        part: 1,
+    };
+    Logbook::begin(logbook::Place::File(path.to_owned()), header, truth, WhenFull::Wait)
+}
+
+fn setup(request: &SilRequest, place: Place, goal: Option<Point>, readings: &Readings) -> RigSetup {
     let params = &request.params;
     let begin = pace::now();
     RigSetup {
@@ -114,7 +165,10 @@ fn setup(request: &SilRequest, place: Place, goal: Option<Point>) -> RigSetup {
         latency: request.latency,
         // Nobody but the ground station knows how long it will take.
         time_limit_s: request.time_limit_s.or(request.is_attended().then_some(f64::INFINITY)),
-        stopwatch: Box::new(move || begin.elapsed()),
+        stopwatch: match request.log {
+            Some(_) => readings.keep(Box::new(move || begin.elapsed())),
+            None => Box::new(move || begin.elapsed()),
+        },
         planning: None,
     }
 }

@@ -33,14 +33,13 @@ class Flood(unittest.TestCase):
             [sys.executable, str(ROOT / "hil/mavlink.py"), str(vehicle.port), str(RATE_HZ)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         try:
-            output, _ = vehicle.process.communicate(timeout=180)
+            _, flooded = vehicle.finish(180)
             rate_hz = float(flood.communicate("\n", timeout=60)[0])
         finally:
-            for process in (flood, vehicle.process):
-                if process.poll() is None:
-                    process.kill()
-                process.wait()
-        flooded = json.loads(output.splitlines()[-1])
+            vehicle.close()
+            if flood.poll() is None:
+                flood.kill()
+            flood.wait()
         self.assertEqual(flooded["outcome"], "goal", "\n".join(vehicle.log))
         self.assertEqual(flooded["digest"], quiet["digest"])
         # It was a flood, and it reached the car: most of it is more than a link may say.

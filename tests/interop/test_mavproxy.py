@@ -50,13 +50,12 @@ class Generic(unittest.TestCase):
             self.said.append(line.rstrip())
 
     def stop(self):
-        for process in (self.proxy, self.vehicle.process):
-            if process.poll() is None:
-                process.kill()
-            process.wait()
-        self.reader.join(5.0)
-        for pipe in (self.proxy.stdin, self.proxy.stdout,
-                     self.vehicle.process.stdout, self.vehicle.process.stderr):
+        self.vehicle.close()
+        if self.proxy.poll() is None:
+            self.proxy.kill()
+        self.proxy.wait()
+        self.reader.join()
+        for pipe in (self.proxy.stdin, self.proxy.stdout):
             try:
                 pipe.close()
             except BrokenPipeError:
@@ -87,7 +86,7 @@ class Generic(unittest.TestCase):
     def test_the_basic_commands_work(self):
         self.assertTrue(self.await_(r"online system 1"), self.said)
         self.assertTrue(self.await_(rf"Mode {self.first_mode}\b"), self.said)
-        self.assertTrue(self.await_(r"Received 1\d\d parameters"), self.said)
+        self.assertTrue(self.await_(r"Received \d+ parameters"), self.said)
 
         self.wanted(r"SPD_SPEED_MAX +4\.0", "param show SPD_SPEED_MAX")
         self.wanted(r"SPD_SPEED_MAX += 2\.5|SPD_SPEED_MAX +2\.5",

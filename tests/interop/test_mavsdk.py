@@ -126,11 +126,7 @@ class Generic(unittest.TestCase):
             self.client.close()
             self.client = None
         if self.vehicle:
-            if self.vehicle.process.poll() is None:
-                self.vehicle.process.kill()
-            self.vehicle.process.wait()
-            self.vehicle.process.stdout.close()
-            self.vehicle.process.stderr.close()
+            self.vehicle.close()
 
     def refusal(self):
         """What is said about a value out of range; again where it was not heard in time."""

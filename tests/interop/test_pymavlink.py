@@ -125,11 +125,7 @@ class Drive(unittest.TestCase):
     def stop(self):
         if getattr(self, "station", None):
             self.station.link.close()
-        if self.vehicle.process.poll() is None:
-            self.vehicle.process.kill()
-        self.vehicle.process.wait()
-        self.vehicle.process.stdout.close()
-        self.vehicle.process.stderr.close()
+        self.vehicle.close()
 
     def end(self):
         code, figures = self.vehicle.end()

@@ -60,11 +60,7 @@ class Services(unittest.TestCase):
 
     def stop(self):
         self.station.link.close()
-        if self.vehicle.process.poll() is None:
-            self.vehicle.process.kill()
-        self.vehicle.process.wait()
-        self.vehicle.process.stdout.close()
-        self.vehicle.process.stderr.close()
+        self.vehicle.close()
 
     def restart(self, *arguments):
         self.station.link.close()

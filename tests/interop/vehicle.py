@@ -53,23 +53,45 @@ class Vehicle:
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
-        self.log = []
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
+        self.log, self.output = [], []
+        self.readers = [
+            threading.Thread(target=self._read, args=pair, daemon=True)
+            for pair in ((self.process.stderr, self.log), (self.process.stdout, self.output))
+        ]
+        for reader in self.readers:
+            reader.start()
 
-    def _read(self):
-        for line in self.process.stderr:
-            self.log.append(line.rstrip())
+    @staticmethod
+    def _read(stream, lines):
+        for line in stream:
+            lines.append(line.rstrip())
 
-    def end(self):
-        """Interrupts the drive; the figures of it."""
-        self.process.terminate()
+    def finish(self, seconds=60):
+        """Waits for the drive to end; exit code and figures of it."""
         try:
-            output, _ = self.process.communicate(timeout=60)
+            self.process.wait(seconds)
         except subprocess.TimeoutExpired:
             self.process.kill()
+            self.process.wait()
             raise
-        lines = [line for line in output.splitlines() if line.startswith("{")]
-        if not lines:
+        for reader in self.readers:
+            reader.join()
+        figures = [line for line in self.output if line.startswith("{")]
+        if not figures:
             raise AssertionError("no figures; the log:\n" + "\n".join(self.log))
-        return self.process.returncode, json.loads(lines[-1])
+        return self.process.returncode, json.loads(figures[-1])
+
+    def end(self):
+        """Interrupts the drive; exit code and figures of it."""
+        self.process.terminate()
+        return self.finish()
+
+    def close(self):
+        """Ends it in whatever state it is."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        for reader in self.readers:
+            reader.join()
+        self.process.stdout.close()
+        self.process.stderr.close()

@@ -3,20 +3,8 @@
 use socketcan::errors::{ControllerProblems, ErrorCause};
 use socketcan::{CanError, CanErrorFrame};
 
+use crate::autopilot::BusState;
 use crate::time::Instant;
-
-/// The controller's state of error confinement (ISO 11898-1).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum BusState {
-    /// Takes part in everything.
-    #[default]
-    Active,
-    /// Takes part, but may no longer destroy what it takes for wrong: an error counter has reached
-    /// 128.
-    Passive,
-    /// Takes no part: too many errors in sending, or the interface is down.
-    Off,
-}
 
 /// A kind of error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -14,11 +14,12 @@ use super::seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request};
 use super::statistics::{Frames, Statistics, Summary};
 use super::timing::Timing;
 use super::worker::{Finished, PlanningParams, Worker};
-use crate::autopilot::{self, Autopilot, BusHealth, Command, Event, HostHealth, Mode};
+use crate::autopilot::{Autopilot, BusHealth, Command, Event, HostHealth, Mode};
 use crate::frames::Point;
 use crate::params::Params;
 use crate::shell::can::{BusState, Received, SendFault};
 use crate::shell::load::LoadMeter;
+use crate::shell::logbook::Recorder;
 use crate::shell::simulator::log;
 use crate::time::{Duration, Instant};
 use crate::wire::can::CanFrame;
@@ -93,6 +94,8 @@ pub struct Outside {
     pub pulse: Arc<Pulse>,
     /// Counts the lines that the log had no room for.
     pub log_dropped: Box<dyn Fn() -> u64 + Send>,
+    /// Writes the drive down; the core has its witness.
+    pub recorder: Option<Recorder>,
 }
 
 /// What a run is for.
@@ -286,12 +289,8 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
 
     fn report_bus(&mut self, now: Instant) {
         let statistics = self.link.statistics();
-        let state = match statistics.state {
-            _ if self.deaf_until.is_some() => autopilot::BusState::Off,
-            BusState::Active => autopilot::BusState::Active,
-            BusState::Passive => autopilot::BusState::Passive,
-            BusState::Off => autopilot::BusState::Off,
-        };
+        let deaf = self.deaf_until.is_some();
+        let state = if deaf { BusState::Off } else { statistics.state };
         let error_frames = statistics.error_frames;
         let health = BusHealth { state, error_frames, frames_unsent: self.unsent };
         self.core.handle_bus_health(now, health);
@@ -402,6 +401,9 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
     }
 
     fn put_params(&mut self) {
+        if let Some(recorder) = &self.outside.recorder {
+            recorder.note_params(self.timing.now(), Arc::clone(&self.params));
+        }
         self.core.set_params(self.params.core());
         self.worker.set_params(PlanningParams {
             planner: self.params.planner(),
@@ -682,6 +684,7 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             guard_stops: core.guard_stops,
             frames: self.frames(),
             log_dropped: (self.outside.log_dropped)(),
+            record_dropped: self.outside.recorder.as_ref().map_or(0, Recorder::dropped),
             ..Summary::default()
         };
         self.statistics.fill(now, &mut summary);

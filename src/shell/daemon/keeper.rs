@@ -36,8 +36,8 @@ pub struct Keeper {
     pub load: Load,
     /// The file that is watched.
     pub config: Option<PathBuf>,
-    /// The directory whose disk is watched.
-    pub state_directory: Option<PathBuf>,
+    /// Directories whose disks are watched.
+    pub watched: Vec<PathBuf>,
     /// Least free space, bytes.
     pub disk_free_min: u64,
     /// Ticks a second.
@@ -79,8 +79,8 @@ impl Keeper {
                 tracing::info!("the configuration file has changed");
                 self.reload();
             }
-            let now_full =
-                self.state_directory.as_deref().map(|dir| is_full(dir, self.disk_free_min));
+            let full_one = |directory: &PathBuf| is_full(directory, self.disk_free_min);
+            let now_full = (!self.watched.is_empty()).then(|| self.watched.iter().any(full_one));
             if now_full != full {
                 full = now_full;
                 // It is said again the next time, if there is no room now.

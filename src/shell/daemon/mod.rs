@@ -18,7 +18,7 @@ mod worker;
 
 use std::ffi::OsString;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -33,12 +33,17 @@ pub use seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request, Seam};
 use super::can::CanLinkError;
 use super::cli::RunArgs;
 use super::clock::Clock;
+use super::logbook::{Logbook, Place, WhenFull};
 use super::mavlink::{self, End, Ender, Joined, Mavlink, MavlinkError};
-use super::{Exit, complain, configuration, configured, say};
+use super::shelved::Limits;
+use super::{Exit, complain, configuration, configured, folder, say};
 use crate::autopilot::Autopilot;
-use crate::frames::Pose;
+use crate::frames::{Point, Pose};
 use crate::params::Params;
 use crate::plan::Policy;
+use crate::predict;
+use crate::record::{Header, Readings, Source, params_text};
+use crate::time::Instant;
 use control::{Control, Order, Outside, Pulse, Task, Word};
 use keeper::Keeper;
 use link::SocketLink;
@@ -86,7 +91,10 @@ pub fn run(
         realtime::lock_memory();
     }
     let planning = PlanningParams { planner: params.planner(), predict: params.predict.clone() };
-    let worker = match ThreadWorker::start(planning, Box::new(worker::build)) {
+    let readings = Readings::default();
+    let kept = readings.clone();
+    let build = Box::new(move |params: &PlanningParams| worker::build(params, &kept));
+    let worker = match ThreadWorker::start(planning, build) {
         Ok(worker) => worker,
         Err(error) => {
             complain(&error.to_string());
@@ -94,6 +102,7 @@ pub fn run(
         }
     };
     let state_directory = configuration::state_directory(&params, environment);
+    let logs = configuration::log_directory(&params, environment);
     let marker = state_directory.as_deref().and_then(|directory| {
         Marker::set(directory)
             .inspect_err(|error| {
@@ -119,7 +128,7 @@ pub fn run(
     let joined = Joined {
         seam,
         start,
-        services: mavlink::services(&params, state_directory.as_deref()),
+        services: mavlink::services(&params, state_directory.as_deref(), logs.clone()),
         ender: ender(orders.clone(), Arc::clone(&restart)),
     };
     let mavlink = match join(&params, state_directory.as_deref(), joined) {
@@ -137,20 +146,24 @@ pub fn run(
         words: words.clone(),
         pulse: Arc::clone(&pulse),
         log_dropped: Box::new(log.dropped()),
+        recorder: None,
     };
+    let records = logs.filter(|_| params.daemon.record);
+    let watched = state_directory.iter().chain(&records).cloned().collect();
     let keeper = Keeper {
         orders: orders.clone(),
         words: when_said,
         pulse,
         load: Box::new(load),
         config: args.config.clone(),
-        state_directory,
+        watched,
         disk_free_min: keeper::disk_free_min(&params),
         tick_rate_hz: params.autopilot.control_rate_hz,
     };
-    let control = std::thread::Builder::new()
-        .name("apexd-control".into())
-        .spawn(move || control_thread(params, start, worker, outside, task, orders, words));
+    let control = std::thread::Builder::new().name("apexd-control".into()).spawn(move || {
+        let record = Record { folder: records, readings };
+        control_thread(params, start, worker, outside, task, record, orders, words)
+    });
     let control = match control {
         Ok(control) => control,
         Err(error) => {
@@ -188,12 +201,14 @@ pub fn run(
 }
 
 /// The control thread, from the socket to the last setpoint.
+#[expect(clippy::too_many_arguments, reason = "everything that moves into the thread")]
 fn control_thread(
     params: Params,
     start: Pose,
     worker: ThreadWorker,
-    outside: Outside,
+    mut outside: Outside,
     task: Task,
+    record: Record,
     orders: mpsc::Sender<Order>,
     words: std::sync::mpsc::Sender<Word>,
 ) -> Result<Summary, StartError> {
@@ -220,10 +235,62 @@ fn control_thread(
                 let _ = orders.send(Order::End).await;
             }
         });
+        let made = clock.now();
+        let mut core = Autopilot::new(params.core(), layout, start, made);
+        // Its thread must not inherit the priority.
+        let logbook = record.begin(&params, start, task.goal, made);
+        if let Some(logbook) = &logbook {
+            core.set_witness(logbook.recorder().scribe(record.readings));
+            outside.recorder = Some(logbook.recorder().clone());
+        }
         realtime::raise_priority(params.daemon.priority);
-        let core = Autopilot::new(params.core(), layout, start, clock.now());
-        Ok(Control::new(core, params, link, timing, worker, outside, task).run().await)
+        let summary = Control::new(core, params, link, timing, worker, outside, task).run().await;
+        // Why it was not written to the end has been said.
+        let _ = logbook.map(Logbook::close);
+        Ok(summary)
     })
+}
+
+/// Where the drive is written down.
+struct Record {
+    folder: Option<PathBuf>,
+    /// What the planner's clock shows.
+    readings: Readings,
+}
+
+impl Record {
+    /// Begins the log. Without one the car drives all the same.
+    fn begin(
+        &self,
+        params: &Params,
+        start: Pose,
+        goal: Option<Point>,
+        made: Instant,
+    ) -> Option<Logbook> {
+        let megabytes = |number: u32| u64::from(number) * 1_000_000;
+        let limits = Limits {
+            part_bytes: megabytes(params.daemon.log_part_mb),
+            kept_bytes: megabytes(params.daemon.log_kept_mb),
+            kept_files: params.daemon.log_kept_files as usize,
+        };
+        let header = Header {
+            build: env!("CARGO_PKG_VERSION").to_owned(),
+            source: Source::Run,
+            begun_utc: folder::now(),
+            made,
+            start,
+            goal,
+            seed: 0,
+            params: params_text(params),
+            network: predict::network_digest(&params.predict),
+            part: 1,
+        };
+        let place = Place::Folder(self.folder.clone()?, limits);
+        Logbook::begin(place, header, None, WhenFull::Drop)
+            .inspect(|logbook| tracing::info!("recording to {}", logbook.path().display()))
+            .inspect_err(|error| tracing::error!("{error}; the drive is not recorded"))
+            .ok()
+    }
 }
 
 /// MAVLink links, if there are to be any.

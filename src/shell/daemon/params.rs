@@ -19,7 +19,19 @@ tunables! {
         /// Where the daemon notes that it runs, to tell after a crash; if empty, the folder that
         /// systemd names (STATE_DIRECTORY), else none.
         state_directory: String = "", restart;
-        /// Less free space than this on the state directory's disk counts as a full disk.
+        /// Less free space than this on the disk of the state directory or the logs counts as a full
+        /// disk.
         disk_free_min_mb: u32 = 16, live, in 0..=1000000, "MB";
+        /// Keep a log of every run, from which `apexd replay` drives it again.
+        record: bool = true, restart;
+        /// The folder of these logs; if empty, the one that systemd names (LOGS_DIRECTORY), else
+        /// `logs` in the state directory, and no logs without one.
+        log_directory: String = "", restart;
+        /// A log that is longer goes on in another file.
+        log_part_mb: u32 = 256, restart, in 1..=4000, "MB";
+        /// When all logs together are longer than this, the oldest ones are deleted.
+        log_kept_mb: u32 = 2000, restart, in 2..=10000000, "MB";
+        /// When there are more files than this, the oldest ones are deleted.
+        log_kept_files: u32 = 100, restart, in 2..=100000, "";
     }
 }

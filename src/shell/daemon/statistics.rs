@@ -167,6 +167,8 @@ pub struct Summary {
     pub queues: Queues,
     /// Lines that the log had no room for.
     pub log_dropped: u64,
+    /// Pieces of the drive's log dropped because the disk did not keep up.
+    pub record_dropped: u64,
     /// Faults raised, in order of their first time.
     pub faults: Vec<FaultFigures>,
 }

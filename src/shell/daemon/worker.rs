@@ -1,5 +1,6 @@
 //! Planning, beside the control thread.
 
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -8,6 +9,7 @@ use tokio::sync::mpsc;
 
 use crate::plan::{PlanRequest, Planner, PlannerParams, Planning, StepReport};
 use crate::predict::{self, PredictError, PredictParams};
+use crate::record::Readings;
 use crate::shell::pace;
 
 /// Answers that wait to be fetched: the control thread asks for one thing at a time.
@@ -41,7 +43,7 @@ pub trait Worker {
     /// Asks for a step. One that has not been begun gives way to it.
     fn submit(&mut self, request: PlanRequest);
 
-    /// New values, in force from the next step on.
+    /// New values, in force from the next request on: steps asked for before are made without them.
     fn set_params(&mut self, params: PlanningParams);
 
     /// The next answer; never, if there is none to come. Dropping the future loses nothing.
@@ -74,9 +76,14 @@ impl Shared {
 
 #[derive(Default)]
 struct Orders {
-    request: Option<PlanRequest>,
-    params: Option<PlanningParams>,
+    /// In the order in which they came, so that a replay can follow it.
+    waiting: VecDeque<Order>,
     end: bool,
+}
+
+enum Order {
+    Step(Box<PlanRequest>),
+    Params(Box<PlanningParams>),
 }
 
 /// A planner that has been made.
@@ -90,12 +97,12 @@ pub struct Made {
 /// Makes a planner; called on the worker's own thread.
 pub type Build = Box<dyn Fn(&PlanningParams) -> Result<Made, PredictError> + Send>;
 
-/// Makes the planner that ships.
-pub fn build(params: &PlanningParams) -> Result<Made, PredictError> {
+/// Makes the planner that ships; what its clock shows is kept.
+pub fn build(params: &PlanningParams, readings: &Readings) -> Result<Made, PredictError> {
     let predictor = predict::build(&params.predict, None, 0)?;
     let predictor_missing = predictor.fault().is_some();
     let begin = pace::now();
-    let stopwatch = Box::new(move || begin.elapsed());
+    let stopwatch = readings.keep(Box::new(move || begin.elapsed()));
     let planner = Box::new(Planner::new(params.planner.clone(), predictor, stopwatch));
     Ok(Made { planner, predictor_missing })
 }
@@ -151,16 +158,20 @@ impl Drop for ThreadWorker {
 impl Worker for ThreadWorker {
     fn submit(&mut self, mut request: PlanRequest) {
         let mut orders = self.shared.orders();
-        if let Some(older) = &orders.request {
-            request.changed = request.changed.union(&older.changed);
-        }
-        orders.request = Some(request);
+        orders.waiting.retain(|order| match order {
+            Order::Step(older) => {
+                request.changed = request.changed.union(&older.changed);
+                false
+            }
+            Order::Params(_) => true,
+        });
+        orders.waiting.push_back(Order::Step(Box::new(request)));
         drop(orders);
         self.shared.news.notify_one();
     }
 
     fn set_params(&mut self, params: PlanningParams) {
-        self.shared.orders().params = Some(params);
+        self.shared.orders().waiting.push_back(Order::Params(Box::new(params)));
         self.shared.news.notify_one();
     }
 
@@ -188,20 +199,28 @@ struct Desk {
 impl Desk {
     fn work(mut self) {
         loop {
-            let (request, params) = {
+            let order = {
                 let mut orders = self.shared.orders();
-                while orders.request.is_none() && orders.params.is_none() && !orders.end {
-                    orders = self.shared.news.wait(orders).unwrap_or_else(PoisonError::into_inner);
+                loop {
+                    if orders.end {
+                        return;
+                    }
+                    match orders.waiting.pop_front() {
+                        Some(order) => break order,
+                        None => {
+                            let news = &self.shared.news;
+                            orders = news.wait(orders).unwrap_or_else(PoisonError::into_inner);
+                        }
+                    }
                 }
-                if orders.end {
-                    return;
-                }
-                (orders.request.take(), orders.params.take())
             };
-            if let Some(params) = params {
-                self.change(params);
-            }
-            let Some(request) = request else { continue };
+            let request = match order {
+                Order::Step(request) => request,
+                Order::Params(params) => {
+                    self.change(*params);
+                    continue;
+                }
+            };
             let number = request.number;
             let step = catch_unwind(AssertUnwindSafe(|| self.planner.step(&request)));
             let finished = match step {
@@ -346,18 +365,36 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_step_asked_for_before_new_values_came_is_made_without_them() {
+        let mut worker = moody();
+        let mut slower = params();
+        slower.planner.speed.speed_max_mps = 1.5;
+        // Both come before the worker has looked.
+        let waiting = [
+            Order::Step(Box::new(request(1))),
+            Order::Params(Box::new(slower)),
+            Order::Step(Box::new(request(3))),
+        ];
+        worker.shared.orders().waiting.extend(waiting);
+        worker.shared.news.notify_one();
+        assert_eq!(told(&worker.finished().await), (1, "4".to_owned()));
+        assert_eq!(told(&worker.finished().await), (3, "1.5".to_owned()));
+    }
+
+    #[tokio::test]
     async fn a_step_that_never_ends_holds_up_nobody_and_later_ones_give_way_to_the_newest() {
         let mut worker = moody();
         worker.submit(request(4));
         // Until it has been begun.
-        while worker.shared.orders().request.is_some() {
+        while !worker.shared.orders().waiting.is_empty() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         worker.submit(request(9));
         worker.submit(request(7));
         let wait = Duration::from_millis(50);
         assert!(tokio::time::timeout(wait, worker.finished()).await.is_err());
-        let waiting = worker.shared.orders().request.take().unwrap();
+        let waiting = std::mem::take(&mut worker.shared.orders().waiting);
+        let [Order::Step(waiting)] = &*Vec::from(waiting) else { panic!("one is enough") };
         assert_eq!((waiting.number, waiting.changed.x1), (7, 9), "no change is forgotten");
         drop(worker);
     }
@@ -378,8 +415,8 @@ mod tests {
     fn a_network_that_is_missing_is_known_from_the_start() {
         let mut wanted = params();
         wanted.predict.model = "/nowhere/net.onnx".into();
-        assert!(build(&wanted).unwrap().predictor_missing);
+        assert!(build(&wanted, &Readings::default()).unwrap().predictor_missing);
         wanted.predict.kind = crate::predict::PredictorKind::None;
-        assert!(!build(&wanted).unwrap().predictor_missing);
+        assert!(!build(&wanted, &Readings::default()).unwrap().predictor_missing);
     }
 }

@@ -9,28 +9,37 @@ use crate::ground::{Ftp, Ground, Keeper, Mission, Parameters, SAID_PLACES, Servi
 use crate::params::Params;
 use crate::shell::configuration;
 
-/// The folder of the state directory that logs are in.
-const LOGS: &str = "logs";
 /// A kept file that is longer than this is none of ours, bytes.
 const KEPT_BYTES_MAX: u64 = 1 << 20;
 
-/// Parameters, missions and files; what is to outlast a restart goes into the state directory.
-pub fn services(params: &Params, state_directory: Option<&Path>) -> Vec<Box<dyn Service>> {
+/// Parameters, missions and files; what is to outlast a restart goes into the state directory, what is
+/// handed out comes from the folder of logs.
+pub fn services(
+    params: &Params,
+    state_directory: Option<&Path>,
+    logs: Option<PathBuf>,
+) -> Vec<Box<dyn Service>> {
     let keeper = || keeper(state_directory);
     let kept_text = |name: &str| kept_text(state_directory, name);
     let system = params.mavlink.system_id as u8;
     vec![
         Box::new(Parameters::new(params, configuration::kept(state_directory), keeper())),
         Box::new(Mission::new(system, keeper(), kept_text)),
-        Box::new(Ftp::new(Box::new(Folders::new(state_directory.map(|state| state.join(LOGS)))))),
+        Box::new(Ftp::new(Box::new(Folders::new(logs)))),
     ]
 }
 
 /// Lets the vehicle take up what stations said of origin and home before, and keep it.
 pub fn keep_places(ground: &mut Ground, state_directory: Option<&Path>) {
     let kept = kept_text(state_directory, SAID_PLACES);
-    if let Err(fault) = ground.keep_places(keeper(state_directory), kept.as_deref()) {
-        tracing::warn!("{SAID_PLACES} in the state directory is passed over: {fault}");
+    match ground.keep_places(keeper(state_directory), kept.as_deref()) {
+        Err(fault) => {
+            tracing::warn!("{SAID_PLACES} in the state directory is passed over: {fault}")
+        }
+        Ok(()) if kept.is_some() => {
+            tracing::info!("origin and home are those that ground stations set in an earlier run");
+        }
+        Ok(()) => {}
     }
 }
 

@@ -10,6 +10,7 @@ use crate::params::Params;
 use crate::shell::configuration;
 use crate::shell::daemon::{CoreSnapshot, InnerSeam, Request, Seam, apply_change};
 use crate::shell::load::LoadMeter;
+use crate::shell::logbook::Recorder;
 use crate::sim::rig::Rig;
 use crate::time::{Duration, Instant};
 
@@ -23,6 +24,8 @@ pub struct Attended {
     next_snapshot: Instant,
     load: LoadMeter,
     end: Arc<AtomicBool>,
+    /// Writes the drive down; the core has its witness.
+    pub(in crate::shell) recorder: Option<Recorder>,
     _mavlink: Mavlink,
 }
 
@@ -39,7 +42,11 @@ impl Attended {
         let joined = Joined {
             seam: outer,
             start,
-            services: services(params, state_directory.as_deref()),
+            services: services(
+                params,
+                state_directory.as_deref(),
+                configuration::log_directory(params, &[]),
+            ),
             ender: Box::new(move |how| match how {
                 End::Shutdown => {
                     told.store(true, Ordering::Relaxed);
@@ -55,6 +62,7 @@ impl Attended {
             next_snapshot: Instant::ZERO,
             load: LoadMeter::default(),
             end,
+            recorder: None,
             _mavlink: mavlink,
         })
     }
@@ -101,6 +109,9 @@ impl Attended {
                 if answer == Ok(true) {
                     tracing::info!("{key} = {value}");
                     rig.set_params(params.core(), &params.planner());
+                    if let Some(recorder) = &self.recorder {
+                        recorder.note_params(now, Arc::clone(&self.params));
+                    }
                 }
                 let _ = reply.send(answer.map(drop));
             }

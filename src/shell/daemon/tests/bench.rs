@@ -13,13 +13,15 @@ use crate::autopilot::Autopilot;
 use crate::frames::{Point, Pose};
 use crate::params::Params;
 use crate::plan::{PlanRequest, Planning};
+use crate::record::{Header, Readings, Source, params_text};
 use crate::shell::can::{BusState, CanLinkError, LinkStatistics, Received, SendFault};
 use crate::shell::daemon::control::{Control, Order, Outside, Pulse, Task, Word};
 use crate::shell::daemon::link::Link;
 use crate::shell::daemon::seam::Seam;
 use crate::shell::daemon::statistics::Summary;
 use crate::shell::daemon::timing::Timing;
-use crate::shell::daemon::worker::{self, Finished, PlanningParams, Worker};
+use crate::shell::daemon::worker::{self, Finished, PlanningParams, ThreadWorker, Worker};
+use crate::shell::logbook::{Logbook, Place, WhenFull};
 use crate::sim::account::Account;
 use crate::sim::bus::{BusParams, NodeId};
 use crate::sim::car_end::{CarEnd, CarEndSetup};
@@ -204,6 +206,42 @@ impl Worker for InlineWorker {
     }
 }
 
+/// Either kind of worker.
+enum BenchWorker {
+    Inline(InlineWorker),
+    Thread(ThreadWorker),
+}
+
+impl Worker for BenchWorker {
+    fn submit(&mut self, request: PlanRequest) {
+        match self {
+            Self::Inline(worker) => worker.submit(request),
+            Self::Thread(worker) => worker.submit(request),
+        }
+    }
+
+    fn set_params(&mut self, params: PlanningParams) {
+        match self {
+            Self::Inline(worker) => worker.set_params(params),
+            Self::Thread(worker) => worker.set_params(params),
+        }
+    }
+
+    async fn finished(&mut self) -> Finished {
+        match self {
+            Self::Inline(worker) => worker.finished().await,
+            Self::Thread(worker) => worker.finished().await,
+        }
+    }
+
+    fn is_predictor_missing(&self) -> bool {
+        match self {
+            Self::Inline(worker) => worker.is_predictor_missing(),
+            Self::Thread(worker) => worker.is_predictor_missing(),
+        }
+    }
+}
+
 /// What a test does beside the loop.
 pub struct Hands {
     pub bench: Rc<RefCell<Bench>>,
@@ -239,6 +277,10 @@ pub struct Setup {
     /// Send the car to the maze's goal.
     pub to_goal: bool,
     pub faults: FaultPlan,
+    /// Write the drive down there.
+    pub record: Option<Place>,
+    /// By the clock on the wall, with the planner on a thread of its own.
+    pub in_real_time: bool,
 }
 
 impl Default for Setup {
@@ -253,6 +295,8 @@ impl Default for Setup {
             task: Task { time_limit_s: Some(120.0), ..Task::default() },
             to_goal: true,
             faults: FaultPlan::default(),
+            record: None,
+            in_real_time: false,
         }
     }
 }
@@ -264,11 +308,11 @@ pub fn run<F: Future<Output = ()>>(
 ) -> (Summary, Rc<RefCell<Bench>>) {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
-        .start_paused(true)
+        .start_paused(!setup.in_real_time)
         .build()
         .unwrap();
     runtime.block_on(async {
-        let Setup { params, trouble, mut task, to_goal, faults } = setup;
+        let Setup { params, trouble, mut task, to_goal, faults, record, in_real_time } = setup;
         let maze = maze::generate(Family::Thin, 3, 0.1).unwrap();
         if to_goal {
             task.goal = Some(maze.goal);
@@ -308,12 +352,35 @@ pub fn run<F: Future<Output = ()>>(
         let news = Rc::new(Notify::new());
         let planning =
             PlanningParams { planner: params.planner(), predict: params.predict.clone() };
-        let worker = InlineWorker {
-            planner: worker::build(&planning).unwrap().planner,
-            latency: Duration::from_millis(8),
-            trouble,
-            steps: 0,
-            answer: None,
+        let readings = Readings::default();
+        let made = timing.now();
+        let logbook = record.map(|place| {
+            let header = Header {
+                build: "test".into(),
+                source: Source::Run,
+                begun_utc: "20260131T235959Z".into(),
+                made,
+                start,
+                goal: task.goal,
+                seed: 0,
+                params: params_text(&params),
+                network: crate::predict::network_digest(&params.predict),
+                part: 1,
+            };
+            Logbook::begin(place, header, None, WhenFull::Wait).unwrap()
+        });
+        let kept = readings.clone();
+        let worker = if in_real_time {
+            let build = move |params: &PlanningParams| worker::build(params, &kept);
+            BenchWorker::Thread(ThreadWorker::start(planning, Box::new(build)).unwrap())
+        } else {
+            BenchWorker::Inline(InlineWorker {
+                planner: worker::build(&planning, &kept).unwrap().planner,
+                latency: Duration::from_millis(8),
+                trouble,
+                steps: 0,
+                answer: None,
+            })
         };
         let (orders, when_ordered) = mpsc::channel(16);
         let (say, words) = std::sync::mpsc::channel();
@@ -325,8 +392,12 @@ pub fn run<F: Future<Output = ()>>(
             words: say,
             pulse: Arc::clone(&pulse),
             log_dropped: Box::new(|| 0),
+            recorder: logbook.as_ref().map(|logbook| logbook.recorder().clone()),
         };
-        let core = Autopilot::new(params.core(), Layout::Fd, start, timing.now());
+        let mut core = Autopilot::new(params.core(), Layout::Fd, start, made);
+        if let Some(logbook) = &logbook {
+            core.set_witness(logbook.recorder().scribe(readings));
+        }
         let link = BenchLink { bench: Rc::clone(&bench), news: Rc::clone(&news) };
         let hands = Hands { bench: Rc::clone(&bench), orders, words, seam, pulse, goal: maze.goal };
         let control = Control::new(core, params, link, timing, worker, outside, task).run();
@@ -349,6 +420,9 @@ pub fn run<F: Future<Output = ()>>(
             summary = &mut control => summary,
             () = &mut beside => unreachable!("it waits for the loop"),
         };
+        if let Some(logbook) = logbook {
+            logbook.close().unwrap();
+        }
         (summary, Rc::clone(&bench))
     })
 }

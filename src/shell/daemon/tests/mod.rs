@@ -28,10 +28,13 @@ fn a_goal_given_at_the_start_is_reached_and_the_daemon_ends_there() {
     assert_eq!(summary.mode, "disarmed");
     assert!(bench.borrow().speed_mps() < 1e-3);
     assert!(summary.faults.iter().all(|fault| fault.name != "planner late"), "{summary:?}");
-    // In virtual time nothing is late, and the plan takes over when it was granted to.
+    // In virtual time nothing is late, and the plan takes over when it was granted to: at first after
+    // 20 ms, soon after a quarter more than the 8 ms that planning takes here, and a millisecond; each
+    // time at the next tick.
     assert_eq!((summary.tick_jitter_ms.max, summary.ticks_missed), (0.0, 0));
     let reaction = summary.scan_to_setpoint_ms;
-    assert!(reaction.p50 >= 19.0 && reaction.max <= 31.0, "{reaction:?}");
+    assert!(reaction.p50 >= 10.9 && reaction.p50 <= 21.1, "{reaction:?}");
+    assert!(reaction.max <= 31.0, "{reaction:?}");
     let frames = summary.frames;
     assert!(frames.received > 1000 && frames.sent > 1000, "{frames:?}");
     assert_eq!((frames.lost, frames.refused, frames.unsent), (0, 0, 0));
@@ -275,4 +278,122 @@ fn when_the_time_is_up_it_ends_with_the_car_at_rest() {
     assert_eq!((summary.outcome, summary.goal_reached), ("timeout", false));
     assert!(bench.borrow().speed_mps() < 1e-3);
     assert!((2.0..8.0).contains(&summary.time_s), "{}", summary.time_s);
+}
+
+/// Replays what the bench has written down.
+fn replayed(log: &std::path::Path) -> crate::record::Comparison {
+    use crate::record::{LogReader, replay};
+    let open = |path: &std::path::Path| {
+        LogReader::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap()
+    };
+    let next = |part| {
+        let path = crate::shell::shelved::part_of(log, part);
+        Ok(path.exists().then(|| open(&path)))
+    };
+    replay(open(log), next, &[], |_, _| {}).unwrap()
+}
+
+#[test]
+fn what_the_daemon_does_is_repeated_from_its_log_whatever_happens_on_the_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("run.mcap");
+    let record = Some(crate::shell::logbook::Place::File(log.clone()));
+    let mut setup = Setup { record, ..Setup::default() };
+    setup.task.until_goal = true;
+    let params = setup.params.clone();
+    let (summary, bench) = run(setup, |hands| async move {
+        let tell = async |command| {
+            let (reply, answer) = oneshot::channel();
+            hands.seam.requests.send(Request::Command { command, reply }).await.unwrap();
+            answer.await.unwrap()
+        };
+        hands.until("it drives", |bench| bench.speed_mps() > 2.0).await;
+        let (reply, answer) = oneshot::channel();
+        let (key, value) = ("speed.speed_max_mps".to_owned(), Value::Real(2.5));
+        hands.seam.requests.send(Request::SetParameter { key, value, reply }).await.unwrap();
+        answer.await.unwrap().unwrap();
+        hands.sleep_s(0.5).await;
+        tell(Command::Pause).await.unwrap();
+        hands.until("it stands", |bench| bench.speed_mps() < 1e-3).await;
+        let (reply, answer) = oneshot::channel();
+        let far = crate::frames::Point::new(-50.0, -50.0);
+        let outside = vec![crate::fence::circle(far, 1.0, true)];
+        let fence = Arc::new(crate::fence::Fence { inside: vec![], outside });
+        hands.seam.requests.send(Request::SetFence { fence, reply }).await.unwrap();
+        answer.await.unwrap();
+        tell(Command::Continue).await.unwrap();
+        hands.until("it drives on", |bench| bench.speed_mps() > 1.0).await;
+        // The send queue is full for a while, then the interface is gone for a while.
+        hands.bench.borrow_mut().full = true;
+        hands.sleep_s(0.1).await;
+        hands.bench.borrow_mut().full = false;
+        hands.until("it drives again", |bench| bench.speed_mps() > 1.0).await;
+        hands.bench.borrow_mut().gone = true;
+        hands.sleep_s(0.3).await;
+        hands.bench.borrow_mut().gone = false;
+        hands.orders.send(Order::DiskFull(true)).await.unwrap();
+        hands.sleep_s(1.0).await;
+        hands.orders.send(Order::DiskFull(false)).await.unwrap();
+        let mut changed = params.clone();
+        changed.control = crate::control::ControlParams::default();
+        changed.speed.speed_max_mps = 2.0;
+        hands.orders.send(Order::Params(Box::new(changed))).await.unwrap();
+        hands.sleep_s(1.0).await;
+        let _ = tell(Command::Arm).await;
+        let _ = tell(Command::Goto(hands.goal)).await;
+        hands.sleep_s(4.0).await;
+        let _ = hands.orders.send(Order::End).await;
+    });
+    assert_clean(&bench.borrow());
+    let comparison = replayed(&log);
+    assert!(comparison.identical, "{comparison:?}");
+    assert_eq!(comparison.ended, crate::record::Ended::Closed);
+    // What the bus did not take was said all the same.
+    assert!(comparison.frames >= summary.frames.sent, "{comparison:?} {summary:?}");
+    assert_eq!((comparison.plans, summary.record_dropped), (summary.replans, 0));
+}
+
+#[test]
+fn a_long_run_is_repeated_from_the_parts_of_its_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let limits = crate::shell::shelved::Limits {
+        part_bytes: 300_000,
+        kept_bytes: 1_000_000_000,
+        kept_files: 1000,
+    };
+    let place = crate::shell::logbook::Place::Folder(folder.path().to_owned(), limits);
+    let mut setup = Setup { record: Some(place), ..Setup::default() };
+    setup.task.until_goal = true;
+    let (summary, _) = run(setup, |_| async {});
+    assert_eq!(summary.record_dropped, 0, "the disk of a test keeps up");
+    let comparison = replayed(&folder.path().join("20260131T235959Z.mcap"));
+    assert!(comparison.identical && comparison.parts > 2, "{comparison:?}");
+    assert_eq!(comparison.plans, summary.replans);
+}
+
+#[test]
+fn a_run_by_the_clock_with_its_threads_is_repeated_from_its_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("run.mcap");
+    let record = Some(crate::shell::logbook::Place::File(log.clone()));
+    let mut setup = Setup { record, in_real_time: true, ..Setup::default() };
+    setup.params.predict.kind = crate::predict::PredictorKind::Cnp;
+    // Now and then too little.
+    setup.params.predict.time_limit_s = 0.004;
+    setup.task.time_limit_s = Some(4.0);
+    let (summary, _) = run(setup, |hands| async move {
+        // While plans are being made, most likely.
+        for i in 0..30 {
+            hands.sleep_s(0.08).await;
+            let (reply, answer) = oneshot::channel();
+            let value = Value::Real(2.0 + 0.01 * f64::from(i));
+            let key = "speed.speed_max_mps".to_owned();
+            hands.seam.requests.send(Request::SetParameter { key, value, reply }).await.unwrap();
+            answer.await.unwrap().unwrap();
+        }
+    });
+    let comparison = replayed(&log);
+    assert!(comparison.identical, "{comparison:?}");
+    assert_eq!(comparison.plans, summary.replans);
+    assert!(comparison.time_s > 3.0, "{comparison:?}");
 }
