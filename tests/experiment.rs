@@ -222,3 +222,80 @@ fn unsafe_drives_are_counted_and_their_commands_repeat_them() {
     assert_eq!((again.code, &summary["digest"]), (1, &collision["digest"]), "{command}");
     assert_eq!(summary["collisions"], collision["collisions"]);
 }
+
+/// A corridor of posts in the form of BARN's worlds, closed at its lower end, with these rows of
+/// posts in it besides.
+fn barn_world(number: u32, posts: &[[f64; 2]]) -> String {
+    let at = |i: i32, j: i32| [-4.425 + 0.15 * f64::from(i), 0.075 + 0.15 * f64::from(j)];
+    let mut all: Vec<[f64; 2]> = (0..30).map(|i| at(i, 0)).collect();
+    all.extend((0..64).flat_map(|j| [at(0, j), at(29, j)]));
+    all.extend(posts);
+    serde_json::json!({
+        "world": number,
+        "cylinder_radius_m": 0.075,
+        "start": [-2.25, 3.0, 1.57],
+        "goal": [-2.25, 13.0],
+        "obstacles_xy_m": all,
+        "reference_path_xy_m": [[-2.25, 5.0], [-1.25, 6.0], [-2.25, 7.0]],
+    })
+    .to_string()
+}
+
+#[test]
+fn barn_s_worlds_are_scored_and_those_without_a_way_counted_apart() {
+    let root = TempDir::new().unwrap();
+    let worlds = root.path().join("worlds");
+    std::fs::create_dir(&worlds).unwrap();
+    let block: Vec<[f64; 2]> = (12..18).map(|i| [-4.425 + 0.15 * f64::from(i), 6.075]).collect();
+    let wall: Vec<[f64; 2]> = (1..29).map(|i| [-4.425 + 0.15 * f64::from(i), 6.075]).collect();
+    std::fs::write(worlds.join("world_003.json"), barn_world(3, &block)).unwrap();
+    std::fs::write(worlds.join("world_018.json"), barn_world(18, &wall)).unwrap();
+    std::fs::write(worlds.join("SOURCE.md"), "not a world").unwrap();
+    let page = root.path().join("page.md");
+    std::fs::write(
+        &page,
+        "<!-- apexd experiment barn: begin -->\n<!-- apexd experiment barn: end -->\n",
+    )
+    .unwrap();
+    let command = "experiment barn --worlds worlds --methods map-predictive+none --page page.md \
+                   --json";
+    let ran = apexd(root.path(), command);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    let json: Value = serde_json::from_str(ran.out.lines().last().unwrap()).unwrap();
+    assert_eq!(json["drives"], 4);
+    let summary = json["summary"].as_str().unwrap();
+    assert!(summary.contains("through 1 of 2 worlds; not through 18."), "{summary}");
+    for row in json["tables"]["barn"].as_array().unwrap() {
+        assert_eq!(
+            (&row["worlds"], &row["crossed"], &row["passable"]),
+            (&2.into(), &1.into(), &1.into())
+        );
+        assert_eq!((&row["collided"], &row["entered unknown"]), (&0.into(), &0.into()));
+        // The path is 10.83 m long, and hardly a curve keeps the car from its 2 m/s.
+        let score = row["score in these"].as_f64().unwrap();
+        assert!((score - 0.5).abs() < 1e-9, "{row}");
+        assert!((row["score"].as_f64().unwrap() - 0.25).abs() < 1e-9, "{row}");
+    }
+    let text = read(&page);
+    assert!(
+        text.contains("| world | path m | par s | known-map | map-predictive+none |"),
+        "{text}"
+    );
+    assert!(text.contains("| 3 | 10.83 | 5.41 | 0.500 | 0.500 |"), "{text}");
+
+    // Nothing is driven again, and every command repeats its drive.
+    let place = root.path().join("runs/barn");
+    let before = read(&place.join("results.jsonl"));
+    assert_eq!(apexd(root.path(), command).code, 0);
+    assert_eq!(read(&place.join("results.jsonl")), before);
+    for record in results(&place).values() {
+        let command = record["command"].as_str().unwrap().strip_prefix("apexd ").unwrap();
+        let again = apexd(root.path(), &format!("{command} --json --out again"));
+        let summary: Value = serde_json::from_str(again.out.lines().last().unwrap()).unwrap();
+        assert_eq!(summary["digest"], record["drive"]["digest"], "{command}");
+    }
+
+    let nowhere = apexd(root.path(), "experiment barn --worlds again");
+    assert_eq!(nowhere.code, 2);
+    assert!(nowhere.err.contains("there is no world in it"), "{}", nowhere.err);
+}

@@ -185,7 +185,7 @@ impl CampaignRequest {
         spec.seed = u64::from(rng.next_u32());
         spec.set.clone_from(&self.set);
         let keep = Keep { reference: true, ..Keep::default() };
-        Ok(Task { experiment: NAME.into(), spec, keep })
+        Ok(Task { experiment: NAME.into(), spec, keep, benchmark: None })
     }
 }
 

@@ -1,6 +1,7 @@
 //! Experiments on the whole: data for the predictor and its scores; the experiments of Elhafsi et
-//! al. (2020) and random drives, with statistics and tables.
+//! al. (2020), random drives and BARN's worlds, with statistics and tables.
 
+pub mod barn;
 pub mod campaign;
 pub mod dataset;
 pub mod evaluate;

@@ -142,7 +142,7 @@ impl PaperRequest {
         let known = RunSpec::maze(Family::Thin, 0).world;
         let mut tasks = BTreeMap::new();
         let mut add = |spec: RunSpec, keep: Keep| {
-            let task = Task { experiment: super::NAME.into(), spec, keep };
+            let task = Task { experiment: super::NAME.into(), spec, keep, benchmark: None };
             // The same drive is wanted for the comparison and for the sweep: once is enough.
             tasks.entry(task.key()).or_insert(task);
         };

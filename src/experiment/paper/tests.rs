@@ -79,7 +79,7 @@ fn a_policy_that_this_build_does_not_have_is_named() {
 
 /// A drive that took so long.
 fn record(spec: RunSpec, time_s: f64) -> Record {
-    let task = Task { experiment: NAME.into(), spec, keep: Keep::default() };
+    let task = Task { experiment: NAME.into(), spec, keep: Keep::default(), benchmark: None };
     let drive = Drive {
         outcome: if time_s.is_finite() { Outcome::Goal } else { Outcome::Stuck },
         time_s,

@@ -8,7 +8,7 @@ mod spec;
 pub use execute::{Driven, RunError, Tools, execute, place};
 pub use figures::{Figures, Histogram, WallTimes};
 pub use record::{Drive, Record};
-pub use spec::{Keep, RunSpec, SpecError, Task, Timing, WorldSpec};
+pub use spec::{Benchmark, Keep, RunSpec, SpecError, Task, Timing, WorldSpec};
 
 #[cfg(test)]
 mod tests;

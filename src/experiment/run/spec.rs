@@ -298,6 +298,18 @@ pub struct Task {
     pub spec: RunSpec,
     /// What is kept.
     pub keep: Keep,
+    /// What the drive is judged by, if the experiment is a benchmark of others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub benchmark: Option<Benchmark>,
+}
+
+/// A world of a published benchmark.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Benchmark {
+    /// Its number there.
+    pub world: u32,
+    /// Length of the benchmark's own path from start to goal, metres.
+    pub path_m: f64,
 }
 
 impl Task {

@@ -4,7 +4,12 @@ use crate::sim::maze::Family;
 
 #[test]
 fn the_key_follows_the_description() {
-    let task = |spec: RunSpec| Task { experiment: "e".into(), spec, keep: Keep::default() };
+    let task = |spec: RunSpec| Task {
+        experiment: "e".into(),
+        spec,
+        keep: Keep::default(),
+        benchmark: None,
+    };
     let spec = RunSpec::maze(Family::Solid, 7);
     let key = task(spec.clone()).key();
     assert_eq!(key, task(spec.clone()).key());

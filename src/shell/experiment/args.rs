@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 
+use crate::experiment::barn::{BarnRequest, Field, RESOLUTION_M};
 use crate::experiment::campaign::CampaignRequest;
 use crate::experiment::paper::{Method, Pace, PaperRequest, Sweep};
 use crate::experiment::run::Timing;
@@ -34,6 +35,11 @@ pub enum Which {
     /// and lidar rate of each drive, and counts what must not happen; every failure comes with the
     /// command that repeats it. Ends with 1 if a drive was unsafe.
     Campaign(Box<CampaignArgs>),
+    /// Drive BARN's published worlds and score the drives as the BARN Challenge does.
+    ///
+    /// Drives each world of a folder with each method. Worlds that the known map does not lead this
+    /// car through are counted apart. Ends with 1 if a drive was unsafe.
+    Barn(Box<BarnArgs>),
     /// Join the results of several folders (of shards, say) and make tables and figures anew.
     Merge(MergeArgs),
 }
@@ -41,7 +47,7 @@ pub enum Which {
 /// Where results go and how they are made.
 #[derive(Args, Debug)]
 pub struct RunArgs {
-    /// Folder for results, tables and figures; runs/paper or runs/campaign if not given. Drives
+    /// Folder for results, tables and figures; runs/paper, runs/campaign or runs/barn if not given. Drives
     /// whose results lie there already are not driven again.
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     pub out: Option<PathBuf>,
@@ -286,6 +292,67 @@ impl CampaignArgs {
             lidar_rates_hz: or(&self.lidar_rates, usual.lidar_rates_hz),
             set: self.run.set.clone(),
         }
+    }
+}
+
+/// Options of `apexd experiment barn`.
+#[derive(Args, Debug)]
+pub struct BarnArgs {
+    /// The folder with the worlds, files world_*.json, or one such file: world, cylinder_radius_m,
+    /// obstacles_xy_m, start (metres, metres, radians), goal and reference_path_xy_m in metres.
+    #[arg(long, value_name = "DIR", help_heading = "What is driven")]
+    pub worlds: PathBuf,
+    /// Methods, separated by commas: POLICY[+PREDICTOR][:section.key=value]... The known map is
+    /// always driven, too.
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', help_heading = "What is driven")]
+    pub methods: Vec<Method>,
+    /// Highest speed, m/s; the Challenge's robot has 2.
+    #[arg(long, value_name = "M/S", value_parser = cli::positive, default_value_t = 2.0,
+        help_heading = "What is driven")]
+    pub speed_max: f64,
+    /// How far the lidar sees, metres.
+    #[arg(long, value_name = "METRES", value_parser = cli::positive, default_value_t = 7.5,
+        help_heading = "What is driven")]
+    pub lidar_range: f64,
+    /// Side of a cell of the world and of the car's map, metres.
+    #[arg(long, value_name = "METRES", value_parser = resolution, default_value = "0.05",
+        help_heading = "What is driven")]
+    pub resolution: f64,
+    /// Time from a scan to its plan: seconds, or `measured`.
+    #[arg(long, value_name = "measured|SECONDS", value_parser = cli::latency, default_value = "0.02",
+        help_heading = "What is driven")]
+    pub latency: Latency,
+    /// Output and work.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+impl BarnArgs {
+    /// What these options ask for; `fields` are the worlds found and the maps of them.
+    pub fn request(&self, fields: Vec<(Field, String)>) -> BarnRequest {
+        let mut methods = self.methods.clone();
+        if methods.is_empty() {
+            methods = BarnRequest::usual_methods();
+        }
+        BarnRequest {
+            fields,
+            methods,
+            speed_max_mps: self.speed_max,
+            lidar_range_m: self.lidar_range,
+            resolution_m: self.resolution,
+            latency: timing(self.latency),
+            set: self.run.set.clone(),
+        }
+    }
+}
+
+fn resolution(text: &str) -> Result<f64, String> {
+    let [fine, coarse] = RESOLUTION_M;
+    let value: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    if (fine..=coarse).contains(&value) {
+        Ok(value)
+    } else {
+        Err(format!("wanted are {fine} to {coarse} m"))
     }
 }
 

@@ -10,7 +10,9 @@ use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use args::{CampaignArgs, ExperimentArgs, MergeArgs, PaperArgs, RunArgs, ShowArgs, Which};
+use args::{
+    BarnArgs, CampaignArgs, ExperimentArgs, MergeArgs, PaperArgs, RunArgs, ShowArgs, Which,
+};
 use page::Page;
 use serde_json::{Map, Value, json};
 use store::{Session, Store, StoreError};
@@ -18,19 +20,22 @@ use store::{Session, Store, StoreError};
 use super::progress::Terminal;
 use super::report::experiment as figures;
 use super::{Exit, complain, folder, say};
+use crate::experiment::barn::{Field, find_fields};
 use crate::experiment::campaign::CampaignError;
-use crate::experiment::dataset::find_maps;
+use crate::experiment::dataset::{find_maps, map_hash};
 use crate::experiment::paper::{Analysis, Optima};
 use crate::experiment::results::Results;
 use crate::experiment::run::{Record, RunError, SpecError, Task};
 use crate::experiment::table::Table;
-use crate::experiment::{campaign, paper};
+use crate::experiment::{barn, campaign, paper};
+use crate::mapfile;
 
 /// Drives an experiment, or joins results.
 pub fn run(args: &ExperimentArgs, terminal: &Terminal, out: &mut dyn Write) -> Exit {
     let done = match &args.which {
         Which::Paper(args) => run_paper(args, terminal, out),
         Which::Campaign(args) => run_campaign(args, terminal, out),
+        Which::Barn(args) => run_barn(args, terminal, out),
         Which::Merge(args) => merge(args, out),
     };
     done.unwrap_or_else(|(exit, text)| {
@@ -76,6 +81,48 @@ fn run_campaign(
     drive(campaign::NAME, &args.run, &tasks, &Optima::default(), terminal, out)
 }
 
+fn run_barn(args: &BarnArgs, terminal: &Terminal, out: &mut dyn Write) -> Result<Exit, Trouble> {
+    let fields = find_fields(&args.worlds).map_err(usage)?;
+    let place = results_folder(barn::NAME, &args.run)?;
+    let maps = folder::prepare(Some(&place.join("worlds"))).map_err(usage)?;
+    let written = fields
+        .into_iter()
+        .map(|field| {
+            let file = write_map(&field, args.resolution, &maps)?;
+            Ok((field, file.to_string_lossy().into_owned()))
+        })
+        .collect::<Result<_, Trouble>>()?;
+    let tasks = args.request(written).tasks().map_err(|error| refused(&error))?;
+    drive(barn::NAME, &args.run, &tasks, &Optima::default(), terminal, out)
+}
+
+/// Writes a world to a map file of its own, so that each drive can be repeated by a command. The
+/// name follows from what the map says: other maps are other drives.
+fn write_map(field: &Field, resolution_m: f64, folder: &Path) -> Result<PathBuf, Trouble> {
+    let map = field.world(resolution_m).to_map_file();
+    let name = format!("world_{:03}-{}", field.number, &map_hash(&map)[..8]);
+    let file = folder.join(format!("{name}.yaml"));
+    if mapfile::load(&file).is_ok_and(|there| there == map) {
+        return Ok(file);
+    }
+    // Another shard may be reading or writing it: never half a file where a whole one was.
+    let drafts = folder.join(format!("draft-{}", std::process::id()));
+    std::fs::create_dir_all(&drafts).map_err(failed)?;
+    mapfile::save(drafts.join(format!("{name}.yaml")), &map).map_err(failed)?;
+    for end in ["pgm", "yaml"] {
+        let from = drafts.join(format!("{name}.{end}"));
+        std::fs::rename(&from, folder.join(format!("{name}.{end}"))).map_err(failed)?;
+    }
+    folder::discard_if_empty(&drafts);
+    Ok(file)
+}
+
+/// The folder for the results of an experiment.
+fn results_folder(name: &str, args: &RunArgs) -> Result<PathBuf, Trouble> {
+    let own = Path::new("runs").join(name);
+    folder::prepare(Some(args.out.as_deref().unwrap_or(&own))).map_err(usage)
+}
+
 fn optima(show: &ShowArgs) -> Result<Optima, Trouble> {
     let Some(path) = &show.optimum else { return Ok(Optima::default()) };
     let text = std::fs::read_to_string(path)
@@ -94,9 +141,7 @@ fn drive(
 ) -> Result<Exit, Trouble> {
     let program = machine::program();
     let jobs = args.jobs.map_or_else(machine::cores, usize::from);
-    let own = Path::new("runs").join(name);
-    let given = args.out.as_deref().unwrap_or(&own);
-    let place = folder::prepare(Some(given)).map_err(usage)?;
+    let place = results_folder(name, args)?;
     let pictures = folder::prepare(Some(&place.join("figures"))).map_err(usage)?;
     let tasks: Vec<Task> = match args.shard {
         // In the order of their keys, so that long and short drives are spread evenly.
@@ -181,7 +226,8 @@ fn merge(args: &MergeArgs, out: &mut dyn Write) -> Result<Exit, Trouble> {
     if results.is_empty() {
         return Err(usage("there are no results to join"));
     }
-    for name in [paper::NAME, campaign::NAME].into_iter().filter(|name| names.contains(name)) {
+    let all = [paper::NAME, campaign::NAME, barn::NAME];
+    for name in all.into_iter().filter(|name| names.contains(name)) {
         let total = results.iter().filter(|r| r.task.experiment == name).count();
         show_results(name, &place, &args.show, &results, &optima, total, out)?;
     }
@@ -246,6 +292,8 @@ fn show_results(
         let analysis = Analysis::of(&records, optima);
         let drawn = figures::draw(&analysis, &records).map_err(failed)?;
         (paper::tables(&analysis, &records), drawn, String::new())
+    } else if name == barn::NAME {
+        (barn::tables(&records), Vec::new(), barn::summary(&records))
     } else {
         (campaign::tables(&records), Vec::new(), campaign::summary(&records))
     };
