@@ -135,11 +135,11 @@ class Drive:
         return end
 
 
-def stopped_for_good(drive, struck):
-    """The car stopped soon and stayed."""
+def stopped_for_good(drive, struck, within_s=1.5):
+    """The car stopped soon and stayed. 1.5 s: along a braking tail."""
     found = judge.rest(drive.truth, struck)
     check(found["stopped_t_s"] is not None, "the car is not at rest")
-    check(found["stop_s"] < 1.5, f"at rest only after {found['stop_s']:.2f} s")
+    check(found["stop_s"] < within_s, f"at rest only after {found['stop_s']:.2f} s")
     check(found["crept_m"] < judge.CREEP_M, f"moved {found['crept_m']:.2f} m after its stop")
     return f"at rest after {found['stop_s']:.2f} s and {found['stop_m']:.2f} m"
 
@@ -214,7 +214,8 @@ def drives_and_stops(out):
     drive.truth.read()
     check(drive.truth.state["speed_mps"] < 0.05, "the daemon left a car that moves")
     drive.follow(0.5)
-    words = stopped_for_good(drive, struck)
+    # Told to end it drives its plan to the end, which is gentler than a braking tail.
+    words = stopped_for_good(drive, struck, within_s=6.0)
     drive.end()
     return words
 
