@@ -1,11 +1,12 @@
-"""Names the scenarios that are to be played a second time, and puts their first try aside.
+"""Names the scenarios that are to be played once more, and puts their last try aside.
 
 Usage: again.py DIR SCENARIO...
 
 Everything here happens in real time. On a machine with other work a guest is now and then left
 without a processor for longer than the car's watchdogs wait: then the car stops, as it should, and
 the scenario fails for a reason that is not apexd's. So what failed while the machine itself was late
-by more than a control period is played once more, alone. But no machine is slow enough to excuse a
+by more than a control period is played once more, alone, up to three times in all; a machine that
+stood still in each of them cannot judge the scenario. But no machine is slow enough to excuse a
 contact or a metre into unknown space: those stay failures.
 """
 
@@ -15,10 +16,13 @@ from pathlib import Path
 
 import scenario as scenarios
 
-# What a folder of a first try ends in.
-FIRST = ".first"
-# The daemon's control period, ms.
-LATE_MS = 10.0
+TRIES = 3
+
+
+def earlier(folder):
+    """The folders of the tries that were put aside, first one first."""
+    asides = (folder.with_name(f"{folder.name}.try-{number}") for number in range(1, TRIES))
+    return [aside for aside in asides if aside.exists()]
 
 
 def touched(folder):
@@ -37,28 +41,40 @@ def touched(folder):
     return False
 
 
-def excusable(folder):
-    if touched(folder):
-        return False
+def read(folder):
+    """The result in a folder, None if there is none."""
     try:
-        result = json.loads((folder / "result.json").read_text())
+        return json.loads((folder / "result.json").read_text())
     except (OSError, ValueError):
+        return None
+
+
+def stood_still(folder):
+    """Whether the machine stood still in a try that failed, and nothing was touched in it."""
+    result = read(folder)
+    return bool(result and (result["wake_late_ms"] or {}).get("stalls")) and not touched(folder)
+
+
+def excusable(folder):
+    """Whether a try is to be repeated."""
+    result = read(folder)
+    if result is None:
         # The guest did not come to play it to its end.
-        return True
+        return not touched(folder)
     if "skipped" in result or result["passed"]:
         return False
     # Where it could not be measured, nobody knows.
-    late = result.get("wake_late_ms")
-    return late is None or late["max"] > LATE_MS
+    return stood_still(folder) or (result["wake_late_ms"] is None and not touched(folder))
 
 
 def main():
     out = Path(sys.argv[1])
     for one in scenarios.all_of(sys.argv[2:]):
         folder = out / one.name
-        if excusable(folder):
-            if folder.exists():
-                folder.rename(out / (one.name + FIRST))
+        tries = len(earlier(folder)) + 1
+        if tries < TRIES and excusable(folder):
+            folder.mkdir(exist_ok=True)
+            folder.rename(folder.with_name(f"{one.name}.try-{tries}"))
             print(one.name)
 
 

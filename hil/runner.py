@@ -248,15 +248,15 @@ def run_one(scenario, bus, binary, folder):
             recorder.end()
             wake_late_ms = pulse.end()
     try:
-        result = judge.judge(play, ends, broken)
+        result = judge.judge(play, ends, broken, wake_late_ms)
     except (KeyError, TypeError, ValueError) as error:
         result = {
             "name": scenario.name,
             "title": scenario.title,
             "passed": False,
             "failures": [f"cannot be judged: {type(error).__name__}: {error}", *filter(None, [broken])],
+            "wake_late_ms": wake_late_ms,
         }
-    result["wake_late_ms"] = wake_late_ms
     result["wall_s"] = round(time.monotonic() - began, 2)
     (folder / "result.json").write_text(json.dumps(result, indent=1) + "\n")
     return result

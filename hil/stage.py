@@ -251,21 +251,28 @@ class Pulse:
     sleeps 5 ms at a time and notes by how much it woke too late. No control tick can be more punctual;
     and where the machine is a guest, the longest delays are those for which its host left it waiting."""
 
+    # Later than this, the daemon's control period, the machine is said to have stalled (ms).
+    STALL_MS = 10.0
     PROGRAM = """
-import os, select, sys, time
+import json, os, select, sys, time
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
-late, before = [], time.monotonic()
+late, stalls, before = [], [], time.monotonic()
+# The wall clock may be set meanwhile.
+wall_zero = time.time() - before
 while not select.select([sys.stdin], [], [], 0.005)[0]:
     now = time.monotonic()
-    late.append(now - before - 0.005)
+    late.append(1e3 * (now - before - 0.005))
+    if late[-1] > float(sys.argv[1]):
+        stalls.append((wall_zero + now, round(late[-1], 3)))
     before = time.monotonic()
 late.sort()
-print(*(round(1e3 * late[int(share * (len(late) - 1))], 3) for share in (0.5, 0.99, 1.0)))
+share = lambda part: round(late[int(part * (len(late) - 1))], 3)
+print(json.dumps({"p50": share(0.5), "p99": share(0.99), "max": share(1.0), "stalls": stalls}))
 """
 
     def __init__(self):
         self.child = subprocess.Popen(
-            [sys.executable, "-c", self.PROGRAM],
+            [sys.executable, "-c", self.PROGRAM, str(self.STALL_MS)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -273,11 +280,10 @@ print(*(round(1e3 * late[int(share * (len(late) - 1))], 3) for share in (0.5, 0.
         )
 
     def end(self):
-        """The lateness in milliseconds; None where real-time priority is not to be had."""
+        """The lateness in milliseconds and every stall with the wall clock's time of its end; None
+        where real-time priority is not to be had."""
         output, _ = self.child.communicate("\n", timeout=10)
-        if self.child.returncode != 0:
-            return None
-        return dict(zip(("p50", "p99", "max"), map(float, output.split())))
+        return json.loads(output) if self.child.returncode == 0 else None
 
 
 class StoppedThread:

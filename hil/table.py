@@ -8,11 +8,16 @@ import sys
 from pathlib import Path
 
 import scenario as scenarios
-from again import FIRST
+from again import TRIES, earlier, read, stood_still
+
+
+def verdict(result):
+    return "ok" if result["passed"] else "FAILED"
+
 
 COLUMNS = [
     ("scenario", "<26", lambda r: r["name"]),
-    ("", "<6", lambda r: "ok" if r["passed"] else "FAILED"),
+    ("", "<6", verdict),
     ("end", "<12", lambda r: r["car"]["outcome"]),
     ("time s", ">6", lambda r: f"{r['car']['time_s']:.1f}"),
     ("max m/s", ">7", lambda r: f"{r['speed_max_mps']:.2f}"),
@@ -55,33 +60,40 @@ def tell(failures):
         print("    " + str(failure).replace("\n", "\n    "))
 
 
-def read(folder):
-    """The result in a folder, None if there is none."""
-    try:
-        return json.loads((folder / "result.json").read_text())
-    except (OSError, ValueError):
-        return None
+def stall(result):
+    """The longest stall of the machine in words."""
+    longest = ((result or {}).get("wake_late_ms") or {}).get("max")
+    return "the machine stood still for " + (f"up to {longest:.0f} ms" if longest else "nobody knows how long")
 
 
 def main():
     out = Path(sys.argv[1])
-    results, missing, skipped = [], [], []
+    results, missing, skipped, unjudged = [], [], [], []
     for one in scenarios.all_of(sys.argv[2:]):
-        result = read(out / one.name)
+        folder = out / one.name
+        result = read(folder)
         if result is None:
             missing.append(one.name)
             continue
-        if (out / (one.name + FIRST)).exists():
-            result["first_try"] = read(out / (one.name + FIRST)) or {}
-        (skipped if "skipped" in result else results).append(result)
+        result["earlier"] = [read(aside) for aside in earlier(folder)]
+        tries = [folder, *earlier(folder)]
+        if "skipped" in result:
+            skipped.append(result)
+        elif not result["passed"] and len(tries) == TRIES and all(map(stood_still, tries)):
+            unjudged.append(result)
+        else:
+            results.append(result)
     print(" ".join(f"{title:{form}}" for title, form, _ in COLUMNS).rstrip())
-    for row in results:
+    for row in results + unjudged:
         print(" ".join(f"{cell(row, make):{form}}" for _, form, make in COLUMNS).rstrip())
         tell(row["failures"])
-        if "first_try" in row:
-            stall = (row["first_try"].get("wake_late_ms") or {}).get("max", "?")
-            print(f"    the second try; of the first (the machine stood still for up to {stall} ms):")
-            tell(row["first_try"].get("failures", ["it was not played to its end"]))
+        if row.get("excused"):
+            print(f"    raised because {stall(row)}: {', '.join(row['excused'])}")
+        for number, aside in enumerate(row["earlier"], 1):
+            print(f"    try {number} ({stall(aside)}):")
+            tell(aside["failures"] if aside else ["it was not played to its end"])
+        if row in unjudged:
+            print(f"    not judged: {stall(row)}, and did in every try")
     for name in missing:
         print(f"{name:26} FAILED\n    it was not played to its end")
     for row in skipped:
@@ -94,17 +106,19 @@ def main():
             {
                 "passed": passed,
                 "failed": failed,
-                "skipped": len(skipped),
-                "scenarios": results,
+                "skipped": len(skipped) + len(unjudged),
+                "scenarios": results + unjudged,
             },
             indent=1,
         )
         + "\n"
     )
-    again = sum("first_try" in row for row in results)
-    if again:
-        print(f"\n{again} played a second time")
-    print(f"\nHIL: {passed} passed, {failed} failed, {len(skipped)} skipped")
+    repeated = sum(bool(row["earlier"]) for row in results)
+    if repeated:
+        print(f"\n{repeated} played again")
+    if unjudged:
+        print(f"\n{len(unjudged)} not judged: this machine stood still too often for real time")
+    print(f"\nHIL: {passed} passed, {failed} failed, {len(skipped) + len(unjudged)} skipped")
     sys.exit(1 if failed or not passed else 0)
 
 
