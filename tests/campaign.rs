@@ -8,13 +8,12 @@
 //! 4 m/s and 20 at 8 m/s, and prints the table of `docs/experiments.md`; `APEXD_CAMPAIGN=N` drives N
 //! at 4 m/s and N/5 at 8 m/s.
 
-use apexd::autopilot::CoreParams;
-use apexd::plan::{PlannerParams, Policy};
-use apexd::predict::{PredictParams, PredictorKind};
+use apexd::params::Params;
+use apexd::plan::Policy;
+use apexd::predict::PredictorKind;
 use apexd::sim::drive::{Outcome, Summary};
-use apexd::sim::lidar::LidarParams;
 use apexd::sim::maze::{Family, generate};
-use apexd::sim::rig::{Latency, Rig, RigSetup};
+use apexd::sim::rig::{Rig, RigSetup};
 use rayon::prelude::*;
 
 /// What is driven, and at which speed.
@@ -35,29 +34,14 @@ struct Driven {
 
 fn drive(case: Case) -> Driven {
     let maze = generate(case.family, case.seed, 0.1).expect("0.1 m divides the hallway");
-    let mut planner = PlannerParams::default();
-    planner.plan.policy = case.policy;
-    planner.speed.speed_max_mps = case.speed_max_mps;
-    let core = CoreParams { speed: planner.speed.clone(), ..CoreParams::default() };
-    let rate_hz = if case.speed_max_mps > 6.0 { 40.0 } else { 20.0 };
+    let mut params = Params::default();
+    params.plan.policy = case.policy;
+    params.predict.kind = case.predictor;
+    params.speed.speed_max_mps = case.speed_max_mps;
+    params.lidar.rate_hz = if case.speed_max_mps > 6.0 { 40.0 } else { 20.0 };
     let mut rig = Rig::new(RigSetup {
-        world: maze.world,
-        start: maze.start,
-        goal: Some(maze.goal),
-        core,
-        planner,
-        predict: PredictParams { kind: case.predictor, ..PredictParams::default() },
-        bus: Default::default(),
-        lidar: LidarParams { rate_hz, ..LidarParams::default() },
-        car: Default::default(),
-        controller: Default::default(),
-        layout: apexd::wire::can::Layout::Fd,
-        faults: Default::default(),
         seed: case.seed,
-        latency: Latency::Fixed(0.02),
-        time_limit_s: None,
-        stopwatch: Box::new(|| std::time::Duration::ZERO),
-        planning: None,
+        ..RigSetup::new(&params, maze.world, maze.start, Some(maze.goal))
     })
     .expect("start and goal of a maze are free");
     rig.drive(|_| {});

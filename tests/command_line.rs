@@ -97,6 +97,11 @@ fn room(folder: &Path, wall: impl Fn(f64, f64) -> bool) -> PathBuf {
 
 /// Drives across the room, 6 m straight on unless `more` says otherwise.
 fn cross(folder: &Path, more: &[&str]) -> Ran {
+    apexd(folder, &crossing(more))
+}
+
+/// The arguments for that.
+fn crossing<'a>(more: &[&'a str]) -> Vec<&'a str> {
     let fixed = ["sil", "--map", "room.yaml", "--start", "0,0,0", "--goal", "6,0"];
     let given = |option: &&str| more.contains(option);
     let mut arguments: Vec<&str> = fixed[..3].to_vec();
@@ -106,7 +111,7 @@ fn cross(folder: &Path, more: &[&str]) -> Ran {
         }
     }
     arguments.extend(more);
-    apexd(folder, &arguments)
+    arguments
 }
 
 #[test]
@@ -480,23 +485,8 @@ fn a_drive_that_is_told_to_end_stops_the_car_and_reports() {
     let folder = folder();
     room(folder.path(), |_, _| false);
     for signal in ["INT", "TERM"] {
-        let arguments = [
-            "sil",
-            "--map",
-            "room.yaml",
-            "--start",
-            "0,0,0",
-            "--goal",
-            "6,0",
-            "--json",
-            "--out",
-            signal,
-            "--realtime",
-            "--speed-max",
-            "0.5",
-            "--lidar-range",
-            "1.5",
-        ];
+        let slowly = ["--realtime", "--speed-max", "0.5", "--lidar-range", "1.5"];
+        let arguments = crossing(&[&["--json", "--out", signal][..], &slowly].concat());
         let mut command = command(folder.path(), &arguments);
         let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         std::thread::sleep(Duration::from_millis(1500));
@@ -662,24 +652,9 @@ fn with_another_frame(bytes: &[u8]) -> Vec<u8> {
 fn the_log_of_a_killed_drive_is_replayed_up_to_its_end() {
     let folder = folder();
     room(folder.path(), |_, _| false);
-    let arguments = [
-        "sil",
-        "--map",
-        "room.yaml",
-        "--start",
-        "0,0,0",
-        "--goal",
-        "6,0",
-        "--out",
-        "out",
-        "--log",
-        "drive.mcap",
-        "--realtime",
-        "--speed-max",
-        "0.3",
-        "--set",
-        "predict.kind=none",
-    ];
+    let slowly = ["--realtime", "--speed-max", "0.3", "--set", "predict.kind=none"];
+    let logged = ["--out", "out", "--log", "drive.mcap"];
+    let arguments = crossing(&[&logged[..], &slowly].concat());
     let mut child = command(folder.path(), &arguments).stderr(Stdio::null()).spawn().unwrap();
     let log = folder.path().join("drive.mcap");
     let begin = Instant::now();

@@ -3,33 +3,20 @@
 
 use apexd::autopilot::{Command, Fault, Mode, Refusal};
 use apexd::map::Cell;
-use apexd::predict::{PredictParams, PredictorKind};
+use apexd::params::Params;
+use apexd::predict::PredictorKind;
 use apexd::sim::maze::{Family, generate};
-use apexd::sim::rig::{Latency, Rig, RigSetup};
-use apexd::wire::can::Layout;
+use apexd::sim::rig::{Rig, RigSetup};
 
 /// A car in a maze that waits for commands, armed.
 fn armed() -> (Rig, apexd::frames::Point) {
     let maze = generate(Family::Thin, 3, 0.1).expect("the maze exists");
     let goal = maze.goal;
+    let mut params = Params::default();
+    params.predict.kind = PredictorKind::None;
     let mut rig = Rig::new(RigSetup {
-        world: maze.world,
-        start: maze.start,
-        goal: None,
-        core: Default::default(),
-        planner: Default::default(),
-        predict: PredictParams { kind: PredictorKind::None, ..PredictParams::default() },
-        bus: Default::default(),
-        lidar: Default::default(),
-        car: Default::default(),
-        controller: Default::default(),
-        layout: Layout::Fd,
-        faults: Default::default(),
-        seed: 1,
-        latency: Latency::Fixed(0.02),
         time_limit_s: Some(f64::INFINITY),
-        stopwatch: Box::new(|| std::time::Duration::ZERO),
-        planning: None,
+        ..RigSetup::new(&params, maze.world, maze.start, None)
     })
     .expect("start and goal are free");
     for _ in 0..100 {

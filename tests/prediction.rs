@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use apexd::autopilot::{Event, Fault};
 use apexd::frames::Point;
+use apexd::params::Params;
 use apexd::plan::{Planner, PlannerParams, Planning, Stopwatch};
 use apexd::predict::{
     Answers, OccupancyView, PredictFault, PredictParams, Predictor, PredictorKind, Scene, load,
@@ -14,7 +15,6 @@ use apexd::sim::drive::Outcome;
 use apexd::sim::maze::{Family, Maze, generate};
 use apexd::sim::rig::{Latency, Rig, RigSetup, SetupError};
 use apexd::time::Duration;
-use apexd::wire::can::Layout;
 
 /// The values of an `.npy` file (version 1, little-endian, rows first) of a known type.
 fn npy<const N: usize, T>(name: &str, descr: &str, read: fn([u8; N]) -> T) -> Vec<T> {
@@ -78,24 +78,10 @@ fn nothing() -> PredictParams {
 
 fn setup(predict: PredictParams, limit_s: f64) -> RigSetup {
     let maze = maze();
+    let params = Params { predict, ..Params::default() };
     RigSetup {
-        world: maze.world,
-        start: maze.start,
-        goal: Some(maze.goal),
-        core: Default::default(),
-        planner: PlannerParams::default(),
-        predict,
-        bus: Default::default(),
-        lidar: Default::default(),
-        car: Default::default(),
-        controller: Default::default(),
-        layout: Layout::Fd,
-        faults: Default::default(),
-        seed: 1,
-        latency: Latency::Fixed(0.02),
         time_limit_s: Some(limit_s),
-        stopwatch: Box::new(|| Duration::ZERO),
-        planning: None,
+        ..RigSetup::new(&params, maze.world, maze.start, Some(maze.goal))
     }
 }
 

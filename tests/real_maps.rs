@@ -9,15 +9,15 @@
 use std::path::Path;
 use std::time::Instant;
 
-use apexd::autopilot::{CoreParams, Event};
+use apexd::autopilot::Event;
 use apexd::frames::{Point, Pose};
 use apexd::mapfile;
-use apexd::plan::{PlannerParams, Policy};
-use apexd::predict::{PredictParams, PredictorKind};
+use apexd::params::Params;
+use apexd::plan::Policy;
+use apexd::predict::PredictorKind;
 use apexd::shell::report;
 use apexd::sim::drive::{Outcome, Summary};
-use apexd::sim::lidar::LidarParams;
-use apexd::sim::rig::{Latency, Rig, RigSetup};
+use apexd::sim::rig::{Rig, RigSetup};
 use apexd::sim::world::World;
 
 /// One way across one map.
@@ -57,40 +57,22 @@ const METHODS: [(Policy, PredictorKind); 3] = [
 ];
 
 fn run(drive: &Drive, world: &World, policy: Policy, kind: PredictorKind) -> Summary {
-    let mut planner = PlannerParams::default();
-    planner.vehicle.radius_m = drive.radius_m;
-    planner.plan.policy = policy;
-    planner.speed.speed_max_mps = drive.speed_max_mps;
-    let mut core = CoreParams {
-        vehicle: planner.vehicle.clone(),
-        speed: planner.speed.clone(),
-        ..Default::default()
-    };
-    core.map.resolution_m = drive.cell_m;
+    let mut params = Params::default();
+    params.vehicle.radius_m = drive.radius_m;
+    params.plan.policy = policy;
+    params.predict.kind = kind;
+    params.speed.speed_max_mps = drive.speed_max_mps;
+    params.map.resolution_m = drive.cell_m;
+    params.lidar.rate_hz = drive.scans_hz;
     let (x, y, degrees) = drive.start;
     let start = Pose::new(x, y, degrees.to_radians());
     let goal = Point::new(drive.goal.0, drive.goal.1);
-    let force_limit_n = planner.vehicle.mass_kg * planner.vehicle.acceleration_limit_mps2();
-    let goal_radius_m = core.autopilot.goal_radius_m;
+    let force_limit_n = params.vehicle.mass_kg * params.vehicle.acceleration_limit_mps2();
+    let goal_radius_m = params.autopilot.goal_radius_m;
     let began = Instant::now();
     let setup = RigSetup {
-        world: world.clone(),
-        start,
-        goal: Some(goal),
-        core,
-        planner,
-        predict: PredictParams { kind, ..Default::default() },
-        bus: Default::default(),
-        lidar: LidarParams { rate_hz: drive.scans_hz, ..Default::default() },
-        car: Default::default(),
-        controller: Default::default(),
-        layout: apexd::wire::can::Layout::Fd,
-        faults: Default::default(),
-        seed: 1,
-        latency: Latency::Fixed(0.02),
-        time_limit_s: None,
         stopwatch: Box::new(move || began.elapsed()),
-        planning: None,
+        ..RigSetup::new(&params, world.clone(), start, Some(goal))
     };
     let mut rig = Rig::new(setup).expect("start and goal are free");
     let mut rejections = std::collections::BTreeMap::<String, usize>::new();

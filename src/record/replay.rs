@@ -4,24 +4,24 @@ use std::io::Read;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use serde::Serialize;
-
 use super::container::{End, LogError};
-use super::digest::{FrameDigest, plan_digest};
+use super::digest::plan_digest;
 use super::entry::Entry;
 use super::header::{Header, Source};
 use super::log::LogReader;
 use crate::autopilot::Autopilot;
-use crate::command::ForceSetpoint;
 use crate::map::Grid;
 use crate::params::{Faults, Layers, Params};
 use crate::plan::{PlanRequest, Planner, Planning, Policy, StepReport};
 use crate::predict::{self, PredictError};
 use crate::time::{Duration, Instant};
-use crate::wire::can::{CanFrame, CarDecoder, DaemonMessage};
+use crate::wire::can::CanFrame;
 
+mod findings;
 mod script;
 
+use findings::Findings;
+pub use findings::{Comparison, Difference, Ended, SetpointDifference};
 use script::Script;
 
 /// Why a log cannot be replayed.
@@ -59,77 +59,6 @@ pub enum ReplayError {
         /// The one there now.
         now: String,
     },
-}
-
-/// The first thing that came out otherwise.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Difference {
-    /// When, seconds on the core's clock.
-    pub t_s: f64,
-    /// What was compared: `frame` or `plan`.
-    pub what: &'static str,
-    /// What was there then.
-    pub then: String,
-    /// What is there now.
-    pub now: String,
-}
-
-/// How far setpoints differ, at each tick in which both had one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct SetpointDifference {
-    /// How many were compared.
-    pub compared: u64,
-    /// Root of the mean square of the difference of the forces, newtons.
-    pub rms_n: f64,
-    /// Largest difference, newtons.
-    pub max_n: f64,
-}
-
-/// Where the log ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Ended {
-    /// Where it should.
-    Closed,
-    /// In the middle: whoever wrote it was killed, or a further part is missing.
-    CutOff,
-    /// Pieces are missing; nothing can be compared behind them.
-    Gap,
-}
-
-/// What a replay came to.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Comparison {
-    /// Every frame and every plan is to the last bit what it was.
-    pub identical: bool,
-    /// Frames sent then.
-    pub frames: u64,
-    /// How many of them came out otherwise or not at all, and how many came out besides.
-    pub frames_differing: u64,
-    /// Planning steps that came back then.
-    pub plans: u64,
-    /// How many of them came to something else.
-    pub plans_differing: u64,
-    /// The first difference.
-    pub first: Option<Difference>,
-    /// How far setpoints are apart.
-    pub setpoints: SetpointDifference,
-    /// Time that the log covers, seconds.
-    pub time_s: f64,
-    /// Where the log ended.
-    pub ended: Ended,
-    /// Parts of the log.
-    pub parts: u32,
-    /// Digest over the frames sent then, as `apexd sil` prints it.
-    pub digest_then: String,
-    /// The same over the frames now.
-    pub digest_now: String,
-    /// Version of the program that wrote the log.
-    pub build: String,
-    /// Who wrote it.
-    pub source: Source,
-    /// When it was begun, by the clock on the wall.
-    pub begun_utc: String,
 }
 
 /// Replays a log. `next_part` opens a further part by its number; `set` are `section.key=value`
@@ -191,7 +120,8 @@ pub fn replay<R: Read>(
         None => Replay::new(&header, truth, set)?,
     };
     replay.finish();
-    Ok(replay.comparison(header, parts, ended))
+    let time_s = replay.now.seconds_after(replay.made);
+    Ok(replay.findings.comparison(time_s, header, parts, ended))
 }
 
 /// The header of a log; none if it was cut off before.
@@ -231,14 +161,7 @@ struct Replay {
     ticked: bool,
     made: Instant,
     now: Instant,
-    frames: u64,
-    frames_differing: u64,
-    plans: u64,
-    plans_differing: u64,
-    first: Option<Difference>,
-    digests: [FrameDigest; 2],
-    decoders: [CarDecoder; 2],
-    setpoints: SetpointDifference,
+    findings: Findings,
 }
 
 impl Replay {
@@ -269,14 +192,7 @@ impl Replay {
             ticked: false,
             made: header.made,
             now: header.made,
-            frames: 0,
-            frames_differing: 0,
-            plans: 0,
-            plans_differing: 0,
-            first: None,
-            digests: [FrameDigest::new(), FrameDigest::new()],
-            decoders: [CarDecoder::new(layout), CarDecoder::new(layout)],
-            setpoints: SetpointDifference::default(),
+            findings: Findings::new(layout),
         })
     }
 
@@ -318,7 +234,7 @@ impl Replay {
                 }
             }
             Entry::PlanDone { number, digest, readings } => {
-                self.plans += 1;
+                self.findings.plans += 1;
                 self.answer(at, number, digest, &readings);
             }
             Entry::PlanLost { number } => {
@@ -339,7 +255,7 @@ impl Replay {
         let now = self.drain();
         let known = now.len().min(self.sent.len());
         let then = std::mem::take(&mut self.sent);
-        self.compare(&then, &now[..known]);
+        self.findings.compare(self.now, &then, &now[..known]);
     }
 
     // ---- frames
@@ -355,63 +271,22 @@ impl Replay {
         }
         let then = std::mem::take(&mut self.sent);
         let now = self.drain();
-        self.compare(&then, &now);
+        self.findings.compare(self.now, &then, &now);
         // Jobs are fetched along with frames.
         if let Some(request) = self.core.poll_job() {
-            self.note("plan", "none was asked for".into(), format!("request {}", request.number));
-            self.plans_differing += 1;
+            self.note_plan("none was asked for".into(), format!("request {}", request.number));
+            self.findings.plans_differing += 1;
             let until = self.now.offset_by(self.params.autopilot.plan_budget_s);
             self.hold(request, Some(until));
         }
     }
 
-    fn compare(&mut self, then: &[CanFrame], now: &[CanFrame]) {
-        self.frames += then.len() as u64;
-        for i in 0..then.len().max(now.len()) {
-            let (then, now) = (then.get(i), now.get(i));
-            if then == now {
-                continue;
-            }
-            self.frames_differing += 1;
-            if self.first.is_none() {
-                let text = |frame: Option<&CanFrame>| {
-                    frame.map_or_else(|| "no frame".into(), |frame| format!("{frame:?}"))
-                };
-                self.note("frame", text(then), text(now));
-            }
-        }
-        let mut setpoints = [None; 2];
-        for (side, frames) in [then, now].into_iter().enumerate() {
-            for frame in frames {
-                self.digests[side].note(frame);
-                if let Ok(Some(DaemonMessage::Setpoint(setpoint))) =
-                    self.decoders[side].decode(self.now, frame)
-                {
-                    setpoints[side] = Some(setpoint);
-                }
-            }
-        }
-        if let [Some(then), Some(now)] = setpoints {
-            self.compare_setpoints(then, now);
-        }
-    }
-
-    fn compare_setpoints(&mut self, then: ForceSetpoint, now: ForceSetpoint) {
-        let apart_n =
-            (then.longitudinal_n - now.longitudinal_n).hypot(then.lateral_n - now.lateral_n);
-        let sum = &mut self.setpoints;
-        sum.compared += 1;
-        // The sum of squares until the end.
-        sum.rms_n += apart_n * apart_n;
-        sum.max_n = sum.max_n.max(apart_n);
-    }
-
-    fn note(&mut self, what: &'static str, then: String, now: String) {
-        let t_s = self.now.as_secs_f64();
-        self.first.get_or_insert(Difference { t_s, what, then, now });
-    }
-
     // ---- plans
+
+    /// Notes that a plan came out otherwise.
+    fn note_plan(&mut self, then: String, now: String) {
+        self.findings.note(self.now, "plan", then, now);
+    }
 
     /// The log says that a plan was asked for here.
     fn ask(&mut self, number: u32) {
@@ -419,12 +294,12 @@ impl Replay {
             Some(request) => {
                 if request.number != number {
                     let now = format!("request {}", request.number);
-                    self.note("plan", format!("request {number}"), now);
+                    self.note_plan(format!("request {number}"), now);
                 }
                 self.hold(request, None);
             }
             None => {
-                self.note("plan", format!("request {number}"), "none was asked for".into());
+                self.note_plan(format!("request {number}"), "none was asked for".into());
                 self.missing = true;
             }
         }
@@ -444,22 +319,22 @@ impl Replay {
     fn answer(&mut self, at: Instant, number: u32, digest: u64, readings: &[Duration]) {
         let missing = std::mem::take(&mut self.missing);
         let Some(pending) = self.pending.take() else {
-            self.plans_differing += 1;
+            self.findings.plans_differing += 1;
             if !missing {
-                self.note("plan", format!("plan {number}"), "no plan".into());
+                self.note_plan(format!("plan {number}"), "no plan".into());
             }
             return;
         };
         let Some(report) = self.step(&pending.request, readings) else {
-            self.plans_differing += 1;
-            self.note("plan", format!("plan {number}"), "the planner panicked".into());
+            self.findings.plans_differing += 1;
+            self.note_plan(format!("plan {number}"), "the planner panicked".into());
             self.core.handle_job_lost(at, pending.request.number);
             return;
         };
         if plan_digest(&report) != digest {
-            self.plans_differing += 1;
+            self.findings.plans_differing += 1;
             let now = format!("another one: {}", summary(&report));
-            self.note("plan", format!("plan {number}"), now);
+            self.note_plan(format!("plan {number}"), now);
         }
         self.core.handle_job_done(at, report);
     }
@@ -505,29 +380,6 @@ impl Replay {
             Ok(planner) => self.planner = planner,
             // As in the daemon.
             Err(error) => tracing::error!("keeping the old planner: {error}"),
-        }
-    }
-
-    fn comparison(self, header: Header, parts: u32, ended: Ended) -> Comparison {
-        let [then, now] = self.digests;
-        let mut setpoints = self.setpoints;
-        setpoints.rms_n = (setpoints.rms_n / setpoints.compared.max(1) as f64).sqrt();
-        Comparison {
-            identical: self.first.is_none(),
-            frames: self.frames,
-            frames_differing: self.frames_differing,
-            plans: self.plans,
-            plans_differing: self.plans_differing,
-            first: self.first,
-            setpoints,
-            time_s: self.now.seconds_after(self.made),
-            ended,
-            parts,
-            digest_then: then.text(),
-            digest_now: now.text(),
-            build: header.build,
-            source: header.source,
-            begun_utc: header.begun_utc,
         }
     }
 }

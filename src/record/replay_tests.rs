@@ -45,23 +45,12 @@ fn record(drive: Drive, mut each: impl FnMut(u64, &mut Rig, &Log)) -> (Vec<u8>, 
     let maze = generate(Family::Thin, 3, 0.1).unwrap();
     let readings = Readings::default();
     let mut rig = Rig::new(RigSetup {
-        world: maze.world,
-        start: maze.start,
-        goal: Some(maze.goal),
-        core: params.core(),
-        planner: params.planner(),
-        predict: params.predict.clone(),
-        bus: params.bus.clone(),
-        lidar: params.lidar.clone(),
-        car: params.car.clone(),
-        controller: params.controller.clone(),
-        layout: params.can.layout,
         faults,
         seed: 7,
         latency,
         time_limit_s: Some(seconds),
         stopwatch: readings.keep(stopwatch),
-        planning: None,
+        ..RigSetup::new(&params, maze.world, maze.start, Some(maze.goal))
     })
     .unwrap();
     rig.keep_snapshot(None);

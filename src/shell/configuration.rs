@@ -4,20 +4,10 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use super::cli::{ConfigArgs, Flag};
 use super::shown;
 use crate::params::{ENVIRONMENT_PREFIX, Faults, Layers, Params};
 use crate::tunable::Value;
-
-/// An option of its own that stands for a parameter.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Flag {
-    /// The option, with its dashes.
-    pub option: &'static str,
-    /// The parameter, with its section.
-    pub key: &'static str,
-    /// The value given.
-    pub value: Value,
-}
 
 /// What ground stations set is kept in this file of the state directory.
 const KEPT: &str = crate::ground::KEPT_PARAMETERS;
@@ -27,28 +17,26 @@ const LOGS: &str = "logs";
 /// Defaults, file, what ground stations set, environment, `--set` and options, each over the one
 /// before.
 pub fn load(
-    file: Option<&Path>,
+    args: &ConfigArgs,
     environment: &[(OsString, OsString)],
-    set: &[String],
     flags: &[Flag],
 ) -> Result<Params, Faults> {
     // Where things are kept is itself configured, but never by what is kept there.
-    let first = layers(file, None, environment, set, flags).build()?;
+    let first = layers(args, None, environment, flags).build()?;
     let Some(kept) = state_directory(&first, environment).map(|state| state.join(KEPT)) else {
         return Ok(first);
     };
-    layers(file, Some(&kept), environment, set, flags).build()
+    layers(args, Some(&kept), environment, flags).build()
 }
 
 fn layers(
-    file: Option<&Path>,
+    args: &ConfigArgs,
     kept: Option<&Path>,
     environment: &[(OsString, OsString)],
-    set: &[String],
     flags: &[Flag],
 ) -> Layers {
     let mut layers = Layers::new();
-    if let Some(file) = file {
+    if let Some(file) = &args.file {
         read(&mut layers, file);
     }
     if let Some(kept) = kept {
@@ -68,7 +56,7 @@ fn layers(
         }
     }
     layers.environment(texts);
-    for assignment in set {
+    for assignment in &args.set {
         layers.set(assignment);
     }
     for Flag { option, key, value } in flags {

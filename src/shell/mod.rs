@@ -33,7 +33,7 @@ use clap::Parser;
 
 use crate::params::{Origin, Params, document};
 use crate::sim::drive::Outcome;
-use cli::{CarArgs, CheckArgs, Cli, Command, MazeArgs, ParamsArgs, SilArgs};
+use cli::{CarArgs, CheckArgs, Cli, Command, ConfigArgs, Flag, MazeArgs, ParamsArgs, SilArgs};
 use progress::Terminal;
 use sil::{RunError, Simulator};
 use simulator::RigSimulator;
@@ -101,8 +101,7 @@ fn drive(
     terminal: &Terminal,
     out: &mut dyn Write,
 ) -> Exit {
-    let file = args.config.as_deref();
-    let params = match configured(file, environment, &args.set, &args.flags()) {
+    let params = match configured(&args.config, environment, &args.flags()) {
         Ok(params) => params,
         Err(exit) => return exit,
     };
@@ -149,8 +148,7 @@ fn drive(
 }
 
 fn car(args: &CarArgs, environment: &[(OsString, OsString)], out: &mut dyn Write) -> Exit {
-    let file = args.config.as_deref();
-    let params = match configured(file, environment, &args.set, &args.flags()) {
+    let params = match configured(&args.config, environment, &args.flags()) {
         Ok(params) => params,
         Err(exit) => return exit,
     };
@@ -168,12 +166,11 @@ fn car(args: &CarArgs, environment: &[(OsString, OsString)], out: &mut dyn Write
 
 /// The parameters of a run, or how it ends because they are bad.
 fn configured(
-    file: Option<&Path>,
+    args: &ConfigArgs,
     environment: &[(OsString, OsString)],
-    set: &[String],
-    flags: &[configuration::Flag],
+    flags: &[Flag],
 ) -> Result<Params, Exit> {
-    configuration::load(file, environment, set, flags).map_err(|faults| {
+    configuration::load(args, environment, flags).map_err(|faults| {
         if faults.0.iter().all(|fault| matches!(fault.origin, Origin::Flag { .. })) {
             complain(&faults.to_string());
             Exit::Usage

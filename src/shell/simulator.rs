@@ -15,7 +15,6 @@ use crate::mapfile;
 use crate::plan::Policy;
 use crate::predict::{self, PredictorKind};
 use crate::record::{Header, Readings, Source, params_text};
-use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
 use crate::sim::rig::{Latency, Rig, RigSetup, grid_of};
 use crate::sim::world::World;
@@ -146,21 +145,8 @@ fn begin_log(
 }
 
 fn setup(request: &SilRequest, place: Place, goal: Option<Point>, readings: &Readings) -> RigSetup {
-    let params = &request.params;
     let begin = pace::now();
     RigSetup {
-        world: place.world,
-        start: place.start,
-        goal,
-        core: params.core(),
-        planner: params.planner(),
-        predict: params.predict.clone(),
-        bus: params.bus.clone(),
-        lidar: params.lidar.clone(),
-        car: params.car.clone(),
-        controller: params.controller.clone(),
-        layout: params.can.layout,
-        faults: FaultPlan::default(),
         seed: request.seed,
         latency: request.latency,
         // Nobody but the ground station knows how long it will take.
@@ -169,7 +155,7 @@ fn setup(request: &SilRequest, place: Place, goal: Option<Point>, readings: &Rea
             Some(_) => readings.keep(Box::new(move || begin.elapsed())),
             None => Box::new(move || begin.elapsed()),
         },
-        planning: None,
+        ..RigSetup::new(&request.params, place.world, place.start, goal)
     }
 }
 

@@ -12,7 +12,6 @@ use super::lidar::{BeamFan, Lidar, LidarParams};
 use super::world::World;
 use crate::command::{CarStatus, ForceSetpoint};
 use crate::frames::Pose;
-use crate::scan::Scan;
 use crate::time::{Duration, Instant};
 use crate::vehicle::VehicleParams;
 use crate::wire::can::{
@@ -304,15 +303,7 @@ impl CarEnd {
     fn measure(&mut self, end: Instant, time: CarTime, world: &World) {
         let pose = self.car.state().pose;
         let ranges_m = self.lidar.scan(world, pose);
-        let fan = self.lidar.fan();
-        let scan = Scan {
-            stamp: end,
-            sequence: self.sequence,
-            angle_first_rad: fan.angle_first_rad(),
-            angle_step_rad: fan.angle_step_rad(),
-            range_max_m: fan.range_max_m(),
-            ranges_m,
-        };
+        let scan = self.lidar.fan().scan(end, self.sequence, ranges_m);
         if self.encode(|encoder, frames| encoder.encode_scan(time, &scan, frames).is_ok()) {
             // Behind those that are still held back, whatever the delay is now: a lidar's scans
             // do not overtake each other.
@@ -341,14 +332,7 @@ impl CarEnd {
 /// Share of the bus that scans alone take: 1 is all of it.
 pub fn scan_load(layout: Layout, lidar: &LidarParams, bus: &BusParams) -> f64 {
     let fan = BeamFan::new(lidar);
-    let scan = Scan {
-        stamp: Instant::ZERO,
-        sequence: 0,
-        angle_first_rad: fan.angle_first_rad(),
-        angle_step_rad: fan.angle_step_rad(),
-        range_max_m: fan.range_max_m(),
-        ranges_m: vec![1.0; fan.beams()],
-    };
+    let scan = fan.scan(Instant::ZERO, 0, vec![1.0; fan.beams()]);
     let mut frames = Vec::new();
     // A scan that cannot be encoded takes no time.
     let _ = CarEncoder::new(layout, 0).encode_scan(CarTime::default(), &scan, &mut frames);

@@ -6,6 +6,8 @@ use rand_distr::{Distribution, Normal};
 
 use super::world::World;
 use crate::frames::{Pose, Vector, heading_vector};
+use crate::scan::Scan;
+use crate::time::Instant;
 
 crate::tunables! {
     /// The simulated lidar: where it looks, how far, how often, how well.
@@ -72,6 +74,18 @@ impl BeamFan {
         self.directions.len()
     }
 
+    /// A scan by this fan: what each beam measured, metres, all at one instant.
+    pub fn scan(&self, stamp: Instant, sequence: u16, ranges_m: Vec<f32>) -> Scan {
+        Scan {
+            stamp,
+            sequence,
+            angle_first_rad: self.angle_first_rad,
+            angle_step_rad: self.angle_step_rad,
+            range_max_m: self.range_max_m,
+            ranges_m,
+        }
+    }
+
     /// The beams' unit vectors in the map frame, for a lidar at `pose`.
     pub(super) fn map_directions(&self, pose: Pose) -> impl Iterator<Item = Vector> {
         let forward = heading_vector(pose.heading_rad);
@@ -130,9 +144,7 @@ impl Lidar {
 mod tests {
     use super::*;
     use crate::frames::Point;
-    use crate::scan::Scan;
     use crate::sim::maze::{Family, generate};
-    use crate::time::Instant;
 
     #[test]
     fn a_scan_is_what_rays_cast_one_by_one_say() {
@@ -161,14 +173,7 @@ mod tests {
     fn a_full_turn_closes_and_a_part_of_one_is_centred_ahead() {
         let scan = |params: &LidarParams| {
             let fan = BeamFan::new(params);
-            Scan {
-                stamp: Instant::ZERO,
-                sequence: 0,
-                angle_first_rad: fan.angle_first_rad(),
-                angle_step_rad: fan.angle_step_rad(),
-                range_max_m: fan.range_max_m(),
-                ranges_m: vec![1.0; fan.beams()],
-            }
+            fan.scan(Instant::ZERO, 0, vec![1.0; fan.beams()])
         };
         assert!(scan(&LidarParams::default()).is_full_circle());
         let rounded = LidarParams { field_of_view_rad: 6.29, ..LidarParams::default() };

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use apexd::autopilot::{AutopilotParams, CoreParams};
+use apexd::autopilot::AutopilotParams;
 use apexd::frames::{Point, Pose};
 use apexd::guard::GuardParams;
+use apexd::params::Params;
 use apexd::plan::{Planner, PlannerParams, Planning, Policy, Reading};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
 use apexd::sim::car::CarParams;
@@ -198,36 +199,30 @@ impl Trial {
     /// What that is made of.
     pub fn setup_with(&self, planning: Box<dyn Planning>) -> RigSetup {
         let planner = self.planner_params();
-        RigSetup {
-            world: self.world.clone(),
-            start: self.start,
-            goal: Some(self.goal),
-            core: CoreParams {
-                autopilot: AutopilotParams {
-                    control_rate_hz: self.control_rate_hz,
-                    ..AutopilotParams::default()
-                },
-                speed: planner.speed.clone(),
-                guard: self.guard.clone(),
-                ..CoreParams::default()
+        let params = Params {
+            autopilot: AutopilotParams {
+                control_rate_hz: self.control_rate_hz,
+                ..AutopilotParams::default()
             },
-            planner,
-            predict: PredictParams::default(),
-            bus: Default::default(),
+            speed: planner.speed.clone(),
+            guard: self.guard.clone(),
             lidar: LidarParams {
                 rate_hz: self.lidar_hz,
                 beams: if self.layout == Layout::Classic { 360 } else { 1080 },
                 ..LidarParams::default()
             },
             car: self.car.clone(),
-            controller: Default::default(),
+            ..Params::default()
+        };
+        RigSetup {
+            planner,
             layout: self.layout,
             faults: self.faults.clone(),
             seed: self.seed,
             latency: Latency::Fixed(self.latency_s),
             time_limit_s: self.time_limit_s,
-            stopwatch: Box::new(|| Duration::ZERO),
             planning: Some(planning),
+            ..RigSetup::new(&params, self.world.clone(), self.start, Some(self.goal))
         }
     }
 }

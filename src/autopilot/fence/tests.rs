@@ -3,13 +3,11 @@
 use crate::autopilot::{CoreParams, Fault};
 use crate::fence::{Fence, Polygon};
 use crate::frames::{Point, Pose};
-use crate::plan::PlannerParams;
-use crate::predict::{PredictParams, PredictorKind};
+use crate::params::Params;
+use crate::predict::PredictorKind;
 use crate::sim::drive::Outcome;
-use crate::sim::rig::{Latency, Rig, RigSetup};
+use crate::sim::rig::{Rig, RigSetup};
 use crate::sim::world::World;
-use crate::time::Duration;
-use crate::wire::can::Layout;
 use std::sync::Arc;
 
 const START: Pose = Pose { position: Point::new(2.0, 4.0), heading_rad: 0.0 };
@@ -20,24 +18,12 @@ fn hall(time_limit_s: f64) -> Rig {
     let (columns, rows) = (180, 80);
     let edge = |x: usize, y: usize| x == 0 || y == 0 || x + 1 == columns || y + 1 == rows;
     let solid: Vec<bool> = (0..columns * rows).map(|i| edge(i % columns, i / columns)).collect();
+    let world = World::new(0.1, Pose::new(0.0, 0.0, 0.0), columns, rows, &solid);
+    let mut params = Params::default();
+    params.predict.kind = PredictorKind::None;
     Rig::new(RigSetup {
-        world: World::new(0.1, Pose::new(0.0, 0.0, 0.0), columns, rows, &solid),
-        start: START,
-        goal: Some(GOAL),
-        core: CoreParams::default(),
-        planner: PlannerParams::default(),
-        predict: PredictParams { kind: PredictorKind::None, ..PredictParams::default() },
-        bus: Default::default(),
-        lidar: Default::default(),
-        car: Default::default(),
-        controller: Default::default(),
-        layout: Layout::Fd,
-        faults: Default::default(),
-        seed: 1,
-        latency: Latency::Fixed(0.02),
         time_limit_s: Some(time_limit_s),
-        stopwatch: Box::new(|| Duration::ZERO),
-        planning: None,
+        ..RigSetup::new(&params, world, START, Some(GOAL))
     })
     .unwrap()
 }

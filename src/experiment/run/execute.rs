@@ -12,7 +12,6 @@ use crate::mapfile::{self, MapFileError};
 use crate::plan::{Policy, Stopwatch};
 use crate::predict::PredictorKind;
 use crate::sim::drive::{Outcome, Trace};
-use crate::sim::faults::FaultPlan;
 use crate::sim::maze::{self, Family};
 use crate::sim::rig::{Rig, RigSetup, SetupError, Snapshot};
 use crate::sim::world::World;
@@ -177,23 +176,11 @@ fn known_map(spec: &RunSpec, place: &Place, tools: &Tools<'_>) -> Result<Option<
 fn rig(spec: &RunSpec, place: &Place, tools: &Tools<'_>) -> Result<Rig, RunError> {
     let params = spec.params()?;
     Ok(Rig::new(RigSetup {
-        world: place.world.clone(),
-        start: place.start,
-        goal: Some(place.goal),
-        core: params.core(),
-        planner: params.planner(),
-        predict: params.predict,
-        bus: params.bus,
-        lidar: params.lidar,
-        car: params.car,
-        controller: params.controller,
         layout: Layout::Fd,
-        faults: FaultPlan::default(),
         seed: spec.seed,
         latency: spec.latency.latency(),
-        time_limit_s: None,
         stopwatch: (tools.stopwatch)(),
-        planning: None,
+        ..RigSetup::new(&params, place.world.clone(), place.start, Some(place.goal))
     })?)
 }
 

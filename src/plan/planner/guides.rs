@@ -1,7 +1,7 @@
 //! The way to go, as a polyline: to the goal over known and foreseen map, or to a frontier.
 
 use super::exits::Aim;
-use super::{Branch, Lap, Planner, Policy, SHAPE_SLACK_M, SHORTEST_PLAN_M};
+use super::{Branch, Planner, Policy, SHAPE_SLACK_M, SHORTEST_PLAN_M};
 use crate::frames::Point;
 use crate::map::{Clearance, Grid};
 use crate::plan::bubbles::ClearanceField;
@@ -96,13 +96,11 @@ impl Planner {
         way: impl Iterator<Item = Point>,
         times: &mut StepTimes,
     ) {
-        let mut lap = Lap::new(&self.clock);
-        let predicted = self.predictor.spent();
+        let part = self.own_lap();
         let mut view = self.predictor.view(&self.clock);
         let horizon_m = self.params.smooth.horizon_m;
         self.foreseen.look(&self.params.foreseen, grid, way, horizon_m, &mut view);
-        let predicted = self.predictor.spent().saturating_sub(predicted);
-        times.field += lap.take(&self.clock).saturating_sub(predicted);
+        times.field += self.own_time(part);
     }
 
     /// The guide from a branch point over the map as it is masked now.
@@ -120,8 +118,7 @@ impl Planner {
             v_ref_mps: self.params.speed.speed_max_mps.min(request.speed_cap_mps),
             through_unknown: true,
         };
-        let mut lap = Lap::new(&self.clock);
-        let predicted = self.predictor.spent();
+        let part = self.own_lap();
         let found = match (aim, self.params.plan.policy) {
             (Aim::Anywhere, Policy::Frontier) => self.naive_guide(request, query),
             (Aim::Anywhere, _) => {
@@ -137,8 +134,7 @@ impl Planner {
             }
             (Aim::Through(exit), _) => self.guide_through(request, query, exit),
         };
-        let predicted = self.predictor.spent().saturating_sub(predicted);
-        times.search += lap.take(&self.clock).saturating_sub(predicted);
+        times.search += self.own_time(part);
         let mut guide = found.map_err(|error| match error {
             SearchError::Unreachable { .. } | SearchError::GoalBlocked { .. }
                 if aim == Aim::Anywhere && self.params.plan.policy != Policy::Frontier =>

@@ -10,7 +10,9 @@
 //! ([`Visibility`]).
 
 use super::exits::{Aim, Sampling, WayOut};
-use super::{Bends, Branch, Candidate, Planner, Policy, leaves_heading};
+use super::shape::{Bends, Candidate};
+use super::ways::leaves_heading;
+use super::{Branch, Planner, Policy};
 use crate::frames::{Point, Vector};
 use crate::map::{Clearance, Grid};
 use crate::plan::request::{PlanRequest, StepTimes};

@@ -2,7 +2,9 @@
 //! left.
 
 use super::exits::Aim;
-use super::{Branch, Candidate, ClearRoom, Planner, leaves_heading, with_transitions};
+use super::shape::{Candidate, ClearRoom};
+use super::ways::{leaves_heading, with_transitions};
+use super::{Branch, Planner};
 use crate::frames::{Point, Pose};
 use crate::map::{Clearance, DistanceField, Grid};
 use crate::plan::certify::Surfaces;

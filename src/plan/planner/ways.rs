@@ -1,7 +1,8 @@
 //! What is to be smoothed: the guide, or the path that is being driven as far as the guide still
 //! goes the same way; and how paths are cut and joined.
 
-use super::{Branch, Candidate, Planner, SHORTEST_EDGE_M, SHORTEST_PLAN_M};
+use super::shape::Candidate;
+use super::{Branch, Planner, SHORTEST_EDGE_M, SHORTEST_PLAN_M};
 use crate::frames::{Point, Pose};
 use crate::map::Clearance;
 use crate::plan::request::PlanRequest;

@@ -1,12 +1,10 @@
 //! The options of the daemon.
 
-use std::path::PathBuf;
-
 use clap::Args;
 
-use super::{point, pose, positive};
+use super::value::{point, pose, positive};
+use super::{ConfigArgs, Flag};
 use crate::frames::{Point, Pose};
-use crate::shell::configuration::Flag;
 use crate::tunable::Value;
 
 /// Options of `apexd run`.
@@ -47,17 +45,9 @@ pub struct RunArgs {
     /// The CAN interface [parameter can.interface].
     #[arg(long, value_name = "IFACE", help_heading = "Configuration")]
     pub can: Option<String>,
-    /// Configuration file (TOML) over the built-in defaults.
-    #[arg(long, value_name = "FILE", help_heading = "Configuration")]
-    pub config: Option<PathBuf>,
-    /// Set one parameter, over file and environment (`apexd params` has them all); may be repeated.
-    #[arg(
-        long,
-        value_name = "SECTION.KEY=VALUE",
-        allow_hyphen_values = true,
-        help_heading = "Configuration"
-    )]
-    pub set: Vec<String>,
+    /// Where parameters come from.
+    #[command(flatten)]
+    pub config: ConfigArgs,
 
     /// Print the statistics as one JSON object at the end.
     #[arg(long, help_heading = "Output")]
@@ -68,7 +58,6 @@ impl RunArgs {
     /// The parameters that have options of their own, as far as they are given.
     pub(in crate::shell) fn flags(&self) -> Vec<Flag> {
         let interface = self.can.clone().map(Value::Text);
-        let flag = |value| Flag { option: "--can", key: "can.interface", value };
-        interface.map(flag).into_iter().collect()
+        Flag::given("--can", "can.interface", interface).into_iter().collect()
     }
 }

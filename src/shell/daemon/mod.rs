@@ -73,15 +73,14 @@ pub fn run(
     out: &mut dyn Write,
 ) -> Exit {
     let log = Log::new(verbose);
-    let file = args.config.as_deref();
-    let params = match configured(file, environment, &args.set, &args.flags()) {
+    let params = match configured(&args.config, environment, &args.flags()) {
         Ok(params) => params,
         Err(exit) => return exit,
     };
-    let layers = (args.config.clone(), environment.to_vec(), args.set.clone(), args.flags());
+    let layers = (args.config.clone(), environment.to_vec(), args.flags());
     let load = move || {
-        let (file, environment, set, flags) = &layers;
-        configuration::load(file.as_deref(), environment, set, flags)
+        let (config, environment, flags) = &layers;
+        configuration::load(config, environment, flags)
     };
     if params.plan.policy == Policy::KnownMap {
         complain("plan.policy known-map needs the true map, which only a simulated world gives");
@@ -154,7 +153,7 @@ pub fn run(
         words: when_said,
         pulse,
         load: Box::new(load),
-        config: args.config.clone(),
+        config: args.config.file.clone(),
         watched: state_directory.into_iter().collect(),
         disk_free_min: keeper::disk_free_min(&params),
         tick_rate_hz: params.autopilot.control_rate_hz,

@@ -1,6 +1,5 @@
 //! `apexd experiment`.
 
-pub mod args;
 mod machine;
 mod page;
 mod store;
@@ -10,13 +9,13 @@ use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use args::{
-    BarnArgs, CampaignArgs, ExperimentArgs, MergeArgs, PaperArgs, RunArgs, ShowArgs, Which,
-};
 use page::Page;
 use serde_json::{Map, Value, json};
 use store::{Session, Store, StoreError};
 
+use super::cli::experiment::{
+    BarnArgs, CampaignArgs, ExperimentArgs, MergeArgs, PaperArgs, ShowArgs, Which, WorkArgs,
+};
 use super::progress::Terminal;
 use super::report::experiment as figures;
 use super::{Exit, complain, folder, say};
@@ -62,9 +61,9 @@ fn failed(error: impl std::fmt::Display) -> Trouble {
 }
 
 fn run_paper(args: &PaperArgs, terminal: &Terminal, out: &mut dyn Write) -> Result<Exit, Trouble> {
-    let optima = optima(&args.run.show)?;
+    let optima = optima(&args.work.show)?;
     let tasks = args.request().tasks().map_err(|error| refused(&error))?;
-    drive(paper::NAME, &args.run, &tasks, &optima, terminal, out)
+    drive(paper::NAME, &args.work, &tasks, &optima, terminal, out)
 }
 
 fn run_campaign(
@@ -78,12 +77,12 @@ fn run_campaign(
         CampaignError::Run(RunError::Spec(error)) => refused(&error),
         error => usage(error),
     })?;
-    drive(campaign::NAME, &args.run, &tasks, &Optima::default(), terminal, out)
+    drive(campaign::NAME, &args.work, &tasks, &Optima::default(), terminal, out)
 }
 
 fn run_barn(args: &BarnArgs, terminal: &Terminal, out: &mut dyn Write) -> Result<Exit, Trouble> {
     let fields = find_fields(&args.worlds).map_err(usage)?;
-    let place = results_folder(barn::NAME, &args.run)?;
+    let place = results_folder(barn::NAME, &args.work)?;
     let maps = folder::prepare(Some(&place.join("worlds"))).map_err(usage)?;
     let written = fields
         .into_iter()
@@ -93,7 +92,7 @@ fn run_barn(args: &BarnArgs, terminal: &Terminal, out: &mut dyn Write) -> Result
         })
         .collect::<Result<_, Trouble>>()?;
     let tasks = args.request(written).tasks().map_err(|error| refused(&error))?;
-    drive(barn::NAME, &args.run, &tasks, &Optima::default(), terminal, out)
+    drive(barn::NAME, &args.work, &tasks, &Optima::default(), terminal, out)
 }
 
 /// Writes a world to a map file of its own, so that each drive can be repeated by a command. The
@@ -118,7 +117,7 @@ fn write_map(field: &Field, resolution_m: f64, folder: &Path) -> Result<PathBuf,
 }
 
 /// The folder for the results of an experiment.
-fn results_folder(name: &str, args: &RunArgs) -> Result<PathBuf, Trouble> {
+fn results_folder(name: &str, args: &WorkArgs) -> Result<PathBuf, Trouble> {
     let own = Path::new("runs").join(name);
     folder::prepare(Some(args.out.as_deref().unwrap_or(&own))).map_err(usage)
 }
@@ -133,7 +132,7 @@ fn optima(show: &ShowArgs) -> Result<Optima, Trouble> {
 /// Drives what is left of an experiment and shows what there is.
 fn drive(
     name: &'static str,
-    args: &RunArgs,
+    args: &WorkArgs,
     tasks: &[Task],
     optima: &Optima,
     terminal: &Terminal,

@@ -73,6 +73,7 @@ mod tests {
 
     use super::*;
     use crate::params::kept_text;
+    use crate::shell::cli::ConfigArgs;
     use crate::tunable::Value;
 
     #[test]
@@ -94,7 +95,10 @@ mod tests {
             state.display()
         );
         fs::write(&config, text).unwrap();
-        let load = |set: &[String]| configuration::load(Some(&config), &[], set, &[]).unwrap();
+        let load = |set: &[String]| {
+            let args = ConfigArgs { file: Some(config.clone()), set: set.to_vec() };
+            configuration::load(&args, &[], &[]).unwrap()
+        };
         assert_eq!(load(&[]).speed.speed_max_mps, 2.5, "over the file");
         let set = ["speed.speed_max_mps=1.5".to_owned()];
         assert_eq!(load(&set).speed.speed_max_mps, 1.5, "below the command line");

@@ -5,8 +5,9 @@
 
 use image::ImageEncoder;
 
-use super::axes::{Frame, tick_text, ticks};
+use super::axes::{Frame, ticks};
 use super::colour::{self, INK, OCCUPIED, Rgb, SOFT_INK, UNKNOWN, viridis};
+use super::colour_bar::speed_bar;
 use super::svg::{Anchor, Svg};
 use super::{DriveRecord, ReportError, outcome_text};
 use crate::frames::{Point, heading_vector};
@@ -208,24 +209,8 @@ pub(super) fn start_arrow(svg: &mut Svg, [x, y]: [f64; 2], heading_rad: f64) {
 
 fn colour_bar(svg: &mut Svg, frame: &Frame, speed_limit_mps: f64) {
     let height = frame.size[1].min(420.0);
-    let bar = Frame {
-        corner: [frame.right() + 22.0, frame.corner[1] + 0.5 * (frame.size[1] - height)],
-        size: [16.0, height],
-        x: [0.0, 1.0],
-        y: [0.0, speed_limit_mps],
-    };
-    let colours: Vec<String> = (0..=24).map(|i| viridis(f64::from(i) / 24.0).hex()).collect();
-    svg.gradient_upwards("speed", &colours);
-    svg.rect(bar.corner, bar.size, &format!("fill=\"url(#speed)\" stroke=\"{SOFT_INK}\""));
-    let marks = ticks(bar.y, 5);
-    for &speed in &marks {
-        let [_, y] = bar.place(0.0, speed);
-        let text = tick_text(speed, &marks);
-        svg.line([bar.right(), y], [bar.right() + 5.0, y], &format!("stroke=\"{SOFT_INK}\""));
-        svg.text([bar.right() + 9.0, y + 4.5], 13.0, Anchor::Start, INK, &text);
-    }
-    let middle = [bar.right() + 54.0, bar.corner[1] + 0.5 * height];
-    svg.text_upwards(middle, 14.0, INK, "speed (m/s)");
+    let top = frame.corner[1] + 0.5 * (frame.size[1] - height);
+    speed_bar(svg, [frame.right() + 22.0, top], height, speed_limit_mps);
 }
 
 fn title(svg: &mut Svg, page_width: f64, record: &DriveRecord) {

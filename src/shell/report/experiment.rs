@@ -5,8 +5,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::axes::{Frame, tick_text, ticks};
+use super::axes::{Frame, ticks};
 use super::colour::{HAIRLINE, INK, SOFT_INK, viridis};
+use super::colour_bar::speed_bar;
 use super::drive::truth_layer;
 use super::svg::{Anchor, Svg};
 use super::{ReportError, put, raster};
@@ -339,22 +340,7 @@ fn courses(drives: &[&Record]) -> Result<String, ReportError> {
         truth_layer(&mut svg, &frame, &truth);
         course(&mut svg, &frame, &record.course, speed_max);
     }
-    let bar = Frame {
-        corner: [width - 82.0, 84.0],
-        size: [14.0, size[1].min(300.0)],
-        x: [0.0, 1.0],
-        y: [0.0, speed_max],
-    };
-    let colours: Vec<String> = (0..=24).map(|i| viridis(f64::from(i) / 24.0).hex()).collect();
-    svg.gradient_upwards("speed", &colours);
-    svg.rect(bar.corner, bar.size, &format!("fill=\"url(#speed)\" stroke=\"{SOFT_INK}\""));
-    let marks = ticks(bar.y, 5);
-    for &speed in &marks {
-        let [_, y] = bar.place(0.0, speed);
-        svg.text([bar.right() + 7.0, y + 4.5], 12.0, Anchor::Start, INK, &tick_text(speed, &marks));
-    }
-    let middle = [bar.right() + 48.0, bar.corner[1] + 0.5 * bar.size[1]];
-    svg.text_upwards(middle, 13.0, INK, "speed (m/s)");
+    speed_bar(&mut svg, [width - 92.0, 84.0], size[1].min(300.0), speed_max);
     Ok(svg.finish())
 }
 

@@ -6,6 +6,7 @@
 
 mod axes;
 mod colour;
+mod colour_bar;
 mod drive;
 mod evaluation;
 pub mod experiment;

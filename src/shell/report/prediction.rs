@@ -3,6 +3,7 @@
 
 use super::axes::{Frame, ticks};
 use super::colour::{FREE, INK, OCCUPIED, Rgb, SOFT_INK};
+use super::colour_bar::ColourBar;
 use super::drive::{GOAL, TRUE_WALL, cell_layer, goal_cross, start_arrow, truth_layer};
 use super::outline::outline;
 use super::svg::{Anchor, Svg};
@@ -93,22 +94,16 @@ fn path_layer(svg: &mut Svg, frame: &Frame, snapshot: &Snapshot) {
 
 fn colour_bar(svg: &mut Svg, frame: &Frame) {
     let height = 420.0;
-    let bar = Frame {
-        corner: [frame.right() + 22.0, frame.corner[1] + 0.5 * (frame.size[1] - height)],
-        size: [16.0, height],
-        x: [0.0, 1.0],
-        y: [0.0, 1.0],
+    let top = frame.corner[1] + 0.5 * (frame.size[1] - height);
+    let bar = ColourBar {
+        corner: [frame.right() + 22.0, top],
+        height,
+        name: "probability",
+        label: "probability of being occupied",
+        label_gap: 62.0,
     };
-    let colours: Vec<String> = (0..=16).map(|i| shade(i as f32 / 16.0).hex()).collect();
-    svg.gradient_upwards("probability", &colours);
-    svg.rect(bar.corner, bar.size, &format!("fill=\"url(#probability)\" stroke=\"{SOFT_INK}\""));
-    for (p, text) in [(0.0, "free"), (0.5, "0.5"), (1.0, "occ.")] {
-        let [_, y] = bar.place(0.0, p);
-        svg.line([bar.right(), y], [bar.right() + 5.0, y], &format!("stroke=\"{SOFT_INK}\""));
-        svg.text([bar.right() + 9.0, y + 4.5], 13.0, Anchor::Start, INK, text);
-    }
-    let middle = [bar.right() + 62.0, bar.corner[1] + 0.5 * height];
-    svg.text_upwards(middle, 14.0, INK, "probability of being occupied");
+    let marks = [(0.0, "free"), (0.5, "0.5"), (1.0, "occ.")].map(|(p, text)| (p, text.into()));
+    bar.draw(svg, |p| shade(p as f32), &marks);
 }
 
 /// What the marks mean, in a row below the plot.

@@ -9,6 +9,7 @@ use crate::autopilot::{Autopilot, CoreParams};
 use crate::frames::{Point, Pose};
 use crate::map::{Cell, CellIndex, CellRect, Grid};
 use crate::mapfile::PIXELS_MAX;
+use crate::params::Params;
 use crate::plan::{Planner, PlannerParams, Planning, Policy, Stopwatch};
 use crate::predict::{self, PredictError, PredictParams, PredictorKind};
 use crate::sim::account::Account;
@@ -22,7 +23,7 @@ use crate::sim::judge::Judge;
 use crate::sim::lidar::LidarParams;
 use crate::sim::place::{PlaceError, check_place};
 use crate::sim::world::World;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::wire::can::Layout;
 
 /// Time from a planning request to its answer.
@@ -103,6 +104,30 @@ const TIME_LIMIT_WITHOUT_WAY_S: f64 = 600.0;
 const TRUTH_CELLS_MAX: u64 = PIXELS_MAX;
 
 impl RigSetup {
+    /// A drive with these parameters: seed 1, answers after 20 ms, nothing goes wrong, and no time
+    /// is measured.
+    pub fn new(params: &Params, world: World, start: Pose, goal: Option<Point>) -> Self {
+        Self {
+            world,
+            start,
+            goal,
+            core: params.core(),
+            planner: params.planner(),
+            predict: params.predict.clone(),
+            bus: params.bus.clone(),
+            lidar: params.lidar.clone(),
+            car: params.car.clone(),
+            controller: params.controller.clone(),
+            layout: params.can.layout,
+            faults: FaultPlan::default(),
+            seed: 1,
+            latency: Latency::Fixed(0.02),
+            time_limit_s: None,
+            stopwatch: Box::new(|| Duration::ZERO),
+            planning: None,
+        }
+    }
+
     pub(super) fn build(mut self) -> Result<Rig, SetupError> {
         let radius_m = self.core.vehicle.radius_m;
         check_place(&self.world, self.start, self.goal, radius_m)?;

@@ -8,13 +8,10 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use apexd::autopilot::CoreParams;
 use apexd::params::{Layers, Params};
-use apexd::plan::PlannerParams;
 use apexd::sim::drive::Outcome;
 use apexd::sim::maze::{Family, Maze, generate};
-use apexd::sim::rig::{Latency, Rig, RigSetup};
-use apexd::wire::can::Layout;
+use apexd::sim::rig::{Rig, RigSetup};
 use clap::Parser;
 use serde_json::json;
 
@@ -88,43 +85,10 @@ fn optimum_s(seed: u64, speed_mps: f64) -> Option<f64> {
 fn drive(maze: &Maze, params: &Params, file: &Path) -> Result<Option<f64>, Box<dyn Error>> {
     #[allow(clippy::disallowed_methods)] // a tool beside the product, for its own figures
     let begun = Instant::now();
-    let p = params.clone();
     let mut rig = Rig::new(RigSetup {
-        world: maze.world.clone(),
-        start: maze.start,
-        goal: Some(maze.goal),
-        core: CoreParams {
-            vehicle: p.vehicle.clone(),
-            autopilot: p.autopilot,
-            map: p.map,
-            certify: p.certify.clone(),
-            control: p.control,
-            guard: p.guard,
-            speed: p.speed.clone(),
-        },
-        planner: PlannerParams {
-            vehicle: p.vehicle,
-            plan: p.plan,
-            foreseen: p.foreseen,
-            janson: p.janson,
-            search: p.search,
-            manoeuvre: p.manoeuvre,
-            smooth: p.smooth,
-            speed: p.speed,
-            certify: p.certify,
-        },
-        predict: p.predict,
-        bus: p.bus,
-        lidar: p.lidar,
-        car: p.car,
-        controller: p.controller,
-        layout: Layout::Fd,
-        faults: Default::default(),
         seed: maze.seed,
-        latency: Latency::Fixed(0.02),
-        time_limit_s: None,
         stopwatch: Box::new(move || begun.elapsed()),
-        planning: None,
+        ..RigSetup::new(params, maze.world.clone(), maze.start, Some(maze.goal))
     })?;
     rig.drive(|_| {});
     let summary = rig.summary(begun.elapsed().as_secs_f64());

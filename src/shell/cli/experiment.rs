@@ -1,14 +1,14 @@
-//! Grammar of `apexd experiment`.
+//! The options of `apexd experiment`.
 
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
 
+use super::value::{family, latency, positive};
 use crate::experiment::barn::{BarnRequest, Field, RESOLUTION_M};
 use crate::experiment::campaign::CampaignRequest;
 use crate::experiment::paper::{Method, Pace, PaperRequest, Sweep};
 use crate::experiment::run::Timing;
-use crate::shell::cli;
 use crate::sim::maze::Family;
 use crate::sim::rig::Latency;
 
@@ -46,7 +46,7 @@ pub enum Which {
 
 /// Where results go and how they are made.
 #[derive(Args, Debug)]
-pub struct RunArgs {
+pub struct WorkArgs {
     /// Folder for results, tables and figures; runs/paper, runs/campaign or runs/barn if not given. Drives
     /// whose results lie there already are not driven again.
     #[arg(long, value_name = "DIR", help_heading = "Output")]
@@ -118,10 +118,10 @@ pub struct PaperArgs {
     #[arg(long, value_name = "SEED", default_value_t = 1_000_000, help_heading = "What is driven")]
     pub first_seed: u64,
     /// Kinds of maze, separated by commas.
-    #[arg(long, value_parser = cli::family(), value_delimiter = ',', help_heading = "What is driven")]
+    #[arg(long, value_parser = family(), value_delimiter = ',', help_heading = "What is driven")]
     pub family: Vec<Family>,
     /// Highest speeds, m/s, separated by commas.
-    #[arg(long, value_name = "M/S", value_parser = cli::positive, value_delimiter = ',',
+    #[arg(long, value_name = "M/S", value_parser = positive, value_delimiter = ',',
         help_heading = "What is driven")]
     pub speeds: Vec<f64>,
     /// Methods, separated by commas: POLICY[+PREDICTOR][:section.key=value]... The known map is
@@ -133,27 +133,27 @@ pub struct PaperArgs {
     #[arg(long, value_enum, value_delimiter = ',', help_heading = "What is driven")]
     pub pace: Vec<PaceArg>,
     /// Time from a scan to its plan where the world does not wait: seconds, or `measured`.
-    #[arg(long, value_name = "measured|SECONDS", value_parser = cli::latency, default_value = "0.02",
+    #[arg(long, value_name = "measured|SECONDS", value_parser = latency, default_value = "0.02",
         help_heading = "What is driven")]
     pub latency: Latency,
     /// Mazes in which sensor range and prediction range are varied; 0 for none.
     #[arg(long, value_name = "N", help_heading = "Ranges")]
     pub sweep_mazes: Option<usize>,
     /// Speed at which they are varied, m/s.
-    #[arg(long, value_name = "M/S", value_parser = cli::positive, default_value_t = 4.0,
+    #[arg(long, value_name = "M/S", value_parser = positive, default_value_t = 4.0,
         help_heading = "Ranges")]
     pub sweep_speed: f64,
     /// Sensor ranges, metres.
-    #[arg(long, value_name = "METRES", value_parser = cli::positive, value_delimiter = ',',
+    #[arg(long, value_name = "METRES", value_parser = positive, value_delimiter = ',',
         default_value = "2.5,5,7.5,10", help_heading = "Ranges")]
     pub sensor_ranges: Vec<f64>,
     /// Prediction ranges, metres.
-    #[arg(long, value_name = "METRES", value_parser = cli::positive, value_delimiter = ',',
+    #[arg(long, value_name = "METRES", value_parser = positive, value_delimiter = ',',
         default_value = "2.5,5,7.5", help_heading = "Ranges")]
     pub prediction_ranges: Vec<f64>,
     /// Output and work.
     #[command(flatten)]
-    pub run: RunArgs,
+    pub work: WorkArgs,
 }
 
 /// When is planned.
@@ -220,7 +220,7 @@ impl PaperArgs {
             paces,
             latency: timing(self.latency),
             sweep,
-            set: self.run.set.clone(),
+            set: self.work.set.clone(),
         }
     }
 }
@@ -235,7 +235,7 @@ pub struct CampaignArgs {
     #[arg(long, default_value_t = 1, help_heading = "What is driven")]
     pub seed: u64,
     /// Kinds of world to draw from; all if not given.
-    #[arg(long, value_parser = cli::family(), value_delimiter = ',', help_heading = "What is driven")]
+    #[arg(long, value_parser = family(), value_delimiter = ',', help_heading = "What is driven")]
     pub family: Vec<Family>,
     /// A folder with ROS map_server maps, searched with everything below it, or one YAML file, to
     /// draw from, too; may be repeated.
@@ -256,20 +256,20 @@ pub struct CampaignArgs {
     )]
     pub predictors: Vec<String>,
     /// Highest speeds to draw from, m/s.
-    #[arg(long, value_name = "M/S", value_parser = cli::positive, value_delimiter = ',',
+    #[arg(long, value_name = "M/S", value_parser = positive, value_delimiter = ',',
         help_heading = "What is driven")]
     pub speeds: Vec<f64>,
     /// Latencies to draw from: seconds, or `measured` (such drives cannot be repeated exactly).
-    #[arg(long, value_name = "measured|SECONDS", value_parser = cli::latency, value_delimiter = ',',
+    #[arg(long, value_name = "measured|SECONDS", value_parser = latency, value_delimiter = ',',
         help_heading = "What is driven")]
     pub latencies: Vec<Latency>,
     /// Scans a second to draw from.
-    #[arg(long, value_name = "HZ", value_parser = cli::positive, value_delimiter = ',',
+    #[arg(long, value_name = "HZ", value_parser = positive, value_delimiter = ',',
         help_heading = "What is driven")]
     pub lidar_rates: Vec<f64>,
     /// Output and work.
     #[command(flatten)]
-    pub run: RunArgs,
+    pub work: WorkArgs,
 }
 
 impl CampaignArgs {
@@ -290,7 +290,7 @@ impl CampaignArgs {
             speeds_mps: or(&self.speeds, usual.speeds_mps),
             latencies: or(&latencies, usual.latencies),
             lidar_rates_hz: or(&self.lidar_rates, usual.lidar_rates_hz),
-            set: self.run.set.clone(),
+            set: self.work.set.clone(),
         }
     }
 }
@@ -307,11 +307,11 @@ pub struct BarnArgs {
     #[arg(long, value_name = "METHOD", value_delimiter = ',', help_heading = "What is driven")]
     pub methods: Vec<Method>,
     /// Highest speed, m/s; the Challenge's robot has 2.
-    #[arg(long, value_name = "M/S", value_parser = cli::positive, default_value_t = 2.0,
+    #[arg(long, value_name = "M/S", value_parser = positive, default_value_t = 2.0,
         help_heading = "What is driven")]
     pub speed_max: f64,
     /// How far the lidar sees, metres.
-    #[arg(long, value_name = "METRES", value_parser = cli::positive, default_value_t = 7.5,
+    #[arg(long, value_name = "METRES", value_parser = positive, default_value_t = 7.5,
         help_heading = "What is driven")]
     pub lidar_range: f64,
     /// Side of a cell of the world and of the car's map, metres.
@@ -319,12 +319,12 @@ pub struct BarnArgs {
         help_heading = "What is driven")]
     pub resolution: f64,
     /// Time from a scan to its plan: seconds, or `measured`.
-    #[arg(long, value_name = "measured|SECONDS", value_parser = cli::latency, default_value = "0.02",
+    #[arg(long, value_name = "measured|SECONDS", value_parser = latency, default_value = "0.02",
         help_heading = "What is driven")]
     pub latency: Latency,
     /// Output and work.
     #[command(flatten)]
-    pub run: RunArgs,
+    pub work: WorkArgs,
 }
 
 impl BarnArgs {
@@ -341,7 +341,7 @@ impl BarnArgs {
             lidar_range_m: self.lidar_range,
             resolution_m: self.resolution,
             latency: timing(self.latency),
-            set: self.run.set.clone(),
+            set: self.work.set.clone(),
         }
     }
 }
