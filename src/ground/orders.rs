@@ -44,12 +44,7 @@ impl Ground {
         self.show_changes(now);
     }
 
-    pub(super) fn step(
-        &mut self,
-        now: Instant,
-        from: Peer,
-        wanted: &Wanted,
-    ) -> Result<Step, Denial> {
+    fn step(&mut self, now: Instant, from: Peer, wanted: &Wanted) -> Result<Step, Denial> {
         fields::check(wanted)?;
         match wanted.command {
             MavCmd::MAV_CMD_REQUEST_MESSAGE => {

@@ -56,7 +56,7 @@ impl Mission {
         self.rest(out);
     }
 
-    pub(super) fn rest(&mut self, out: &mut Outbox) {
+    fn rest(&mut self, out: &mut Outbox) {
         if let Some(id) = out.request(CoreRequest::Hold) {
             self.remember(id, Asked::Hold);
         }
@@ -64,11 +64,7 @@ impl Mission {
     }
 
     /// What is to be asked of the core to start or go on.
-    pub(super) fn start(
-        &mut self,
-        now: Instant,
-        first: Option<usize>,
-    ) -> Result<Vec<CoreRequest>, Denial> {
+    fn start(&mut self, now: Instant, first: Option<usize>) -> Result<Vec<CoreRequest>, Denial> {
         if self.goals.is_empty() {
             return Err(Denial::failed("there is no mission"));
         }
@@ -103,7 +99,7 @@ impl Mission {
     }
 
     /// Goes on with an item while driving.
-    pub(super) fn go_on(&mut self, now: Instant, from: usize, out: &mut Outbox) {
+    fn go_on(&mut self, now: Instant, from: usize, out: &mut Outbox) {
         match self.run.seek(&self.goals, from, self.origin.as_ref()) {
             Ok(Next::Ask(requests)) => {
                 for request in requests {

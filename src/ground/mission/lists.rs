@@ -105,7 +105,7 @@ impl Mission {
         }
     }
 
-    pub(super) fn refuse(
+    fn refuse(
         &mut self,
         now: Instant,
         from: Peer,
@@ -121,7 +121,7 @@ impl Mission {
     }
 
     /// All of a list has come.
-    pub(super) fn complete(
+    fn complete(
         &mut self,
         now: Instant,
         from: Peer,
@@ -141,7 +141,7 @@ impl Mission {
         self.answered = Some((from, kind, last, code));
     }
 
-    pub(super) fn replace(&mut self, now: Instant, kind: Kind, items: Vec<Item>, out: &mut Outbox) {
+    fn replace(&mut self, now: Instant, kind: Kind, items: Vec<Item>, out: &mut Outbox) {
         if let Some(keeper) = &mut self.keeper
             && let Err(why) = keeper.keep(kept_name(kind), &text_of(&items))
         {

@@ -228,3 +228,28 @@ fn long_words_come_in_pieces_of_fifty_bytes() {
     out.say(MavSeverity::MAV_SEVERITY_INFO, &"x".repeat(50));
     assert_eq!(std::iter::from_fn(|| out.poll_message()).count(), 1);
 }
+
+#[test]
+fn only_as_a_px4_and_while_it_is_armed_the_car_seems_to_fly() {
+    use crate::wire::mavlink::common::MavLandedState as Landed;
+    const AIR: Landed = Landed::MAV_LANDED_STATE_IN_AIR;
+    const GROUND: Landed = Landed::MAV_LANDED_STATE_ON_GROUND;
+    for (identity, armed) in [(Identity::Generic, GROUND), (Identity::Px4, AIR)] {
+        for (mode, wanted) in [
+            (CoreMode::Disarmed, GROUND),
+            (CoreMode::Standby, armed),
+            (CoreMode::Drive, armed),
+            (CoreMode::Stop, armed),
+            (CoreMode::Terminated, GROUND),
+        ] {
+            let mut talk = Talk::with(MavlinkParams { identity, ..MavlinkParams::default() });
+            talk.mode = mode;
+            talk.look();
+            talk.drain();
+            let request = [245.0, 0., 0., 0., 0., 0., 0.];
+            let sent = talk.long(MavCmd::MAV_CMD_REQUEST_MESSAGE, request);
+            let [_, MavMessage::EXTENDED_SYS_STATE(state)] = &sent[..] else { panic!("{sent:?}") };
+            assert_eq!(state.landed_state, wanted, "{identity:?} {mode:?}");
+        }
+    }
+}
