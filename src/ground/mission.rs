@@ -3,12 +3,15 @@
 //! A list replaces the former one only when its last item has come and all of it is acceptable. A
 //! new list of goals ends the drive along the old one. Rally points are refused.
 
+mod driving;
+mod lists;
+
 use std::sync::Arc;
 
 use super::core::{CoreEvent, CoreMode, CoreRequest, CoreView, Refusal};
-use super::mission_items::{Fault, Item, Kind, fence_of, items_of, opaque_id, text_of};
-use super::mission_run::{Next, Run, State};
-use super::mission_upload::{Progress, Upload};
+use super::mission_items::{Item, Kind, fence_of, items_of, opaque_id};
+use super::mission_run::{Run, State};
+use super::mission_upload::Upload;
 use super::modes::Mode;
 use super::outbox::{Outbox, Peer, RequestId, To};
 use super::service::{Keeper, Service};
@@ -21,6 +24,7 @@ use crate::wire::mavlink::common::{
     MavSeverity, MissionState,
 };
 use crate::wire::mavlink::{MessageData, Origin, RawBody};
+use lists::acknowledge;
 
 /// Items of a list.
 const ITEMS_MAX: u16 = 500;
@@ -136,183 +140,6 @@ impl Mission {
         }
     }
 
-    // ---- lists out
-
-    fn send_count(&self, to: Peer, kind: Kind, out: &mut Outbox) {
-        let data = c::MISSION_COUNT_DATA {
-            count: self.items(kind).len() as u16,
-            target_system: to.system,
-            target_component: to.component,
-            mission_type: kind.number(),
-            opaque_id: self.id(kind),
-        };
-        out.send(to, MavMessage::MISSION_COUNT(data));
-    }
-
-    fn send_item(&self, to: Peer, kind: MavMissionType, seq: u16, out: &mut Outbox) {
-        let Some(own) = Kind::of(kind) else {
-            return acknowledge(to, kind, Code::MAV_MISSION_UNSUPPORTED, 0, out);
-        };
-        let Some(item) = self.items(own).get(usize::from(seq)) else {
-            return acknowledge(to, kind, Code::MAV_MISSION_INVALID_SEQUENCE, 0, out);
-        };
-        let current = own == Kind::Mission && self.run.current == usize::from(seq);
-        let mut data = item.message(seq, own, current);
-        (data.target_system, data.target_component) = (to.system, to.component);
-        out.send(to, MavMessage::MISSION_ITEM_INT(data));
-    }
-
-    // ---- lists in
-
-    fn begin_upload(
-        &mut self,
-        now: Instant,
-        from: Peer,
-        data: &c::MISSION_COUNT_DATA,
-        out: &mut Outbox,
-    ) {
-        let Some(kind) = Kind::of(data.mission_type) else {
-            return acknowledge(from, data.mission_type, Code::MAV_MISSION_UNSUPPORTED, 0, out);
-        };
-        if let Some(upload) = &mut self.upload {
-            if upload.from == from && upload.kind == kind && upload.count == data.count {
-                // The same word again: nothing that has come is lost.
-                return upload.ask(now, out);
-            }
-            if upload.from != from {
-                let text = "Another ground station is sending a list";
-                self.say(now, MavSeverity::MAV_SEVERITY_WARNING, text, out);
-                return acknowledge(from, data.mission_type, Code::MAV_MISSION_DENIED, 0, out);
-            }
-            self.upload = None;
-        }
-        if data.count > ITEMS_MAX {
-            let text = format!("{} of {} items, at most {ITEMS_MAX}", kind.name(), data.count);
-            self.say(now, MavSeverity::MAV_SEVERITY_WARNING, &text, out);
-            return acknowledge(from, data.mission_type, Code::MAV_MISSION_NO_SPACE, 0, out);
-        }
-        self.answered = None;
-        if data.count == 0 {
-            return self.complete(now, from, kind, Vec::new(), out);
-        }
-        self.upload = Some(Upload::begin(now, from, kind, data.count, out));
-    }
-
-    fn take_item(
-        &mut self,
-        now: Instant,
-        from: Peer,
-        kind: MavMissionType,
-        seq: u16,
-        item: Option<Item>,
-        out: &mut Outbox,
-    ) {
-        let ours = |upload: &Upload| upload.from == from && upload.kind.number() == kind;
-        let Some(mut upload) = self.upload.take_if(|upload| ours(upload)) else {
-            // The sender did not hear how the list ended.
-            if let Some((peer, own, last, code)) = self.answered
-                && peer == from
-                && own.number() == kind
-                && seq == last
-            {
-                acknowledge(from, kind, code, self.id(own), out);
-            }
-            return;
-        };
-        let (own, count) = (upload.kind, upload.count);
-        let (speed_max_mps, origin) = (self.speed_max_mps, self.origin);
-        let check = |item: &Item| item.check(own, count, speed_max_mps, origin.as_ref());
-        match upload.take(now, seq, item, check, out) {
-            Ok(Progress::Going) => self.upload = Some(upload),
-            Ok(Progress::Complete(items)) => self.complete(now, from, own, items, out),
-            Err(fault) => self.refuse(now, from, own, seq, &fault, out),
-        }
-    }
-
-    fn refuse(
-        &mut self,
-        now: Instant,
-        from: Peer,
-        kind: Kind,
-        seq: u16,
-        fault: &Fault,
-        out: &mut Outbox,
-    ) {
-        let text = format!("{} refused at item {seq}: {}", kind.name(), fault.reason);
-        self.say(now, MavSeverity::MAV_SEVERITY_WARNING, &text, out);
-        acknowledge(from, kind.number(), fault.code, 0, out);
-        self.answered = Some((from, kind, seq, fault.code));
-    }
-
-    /// All of a list has come.
-    fn complete(
-        &mut self,
-        now: Instant,
-        from: Peer,
-        kind: Kind,
-        items: Vec<Item>,
-        out: &mut Outbox,
-    ) {
-        if kind == Kind::Fence
-            && let Err((at, fault)) = fence_of(&items, self.origin.as_ref())
-        {
-            return self.refuse(now, from, kind, at as u16, &fault, out);
-        }
-        let last = items.len().saturating_sub(1) as u16;
-        self.replace(now, kind, items, out);
-        let code = Code::MAV_MISSION_ACCEPTED;
-        acknowledge(from, kind.number(), code, self.id(kind), out);
-        self.answered = Some((from, kind, last, code));
-    }
-
-    fn replace(&mut self, now: Instant, kind: Kind, items: Vec<Item>, out: &mut Outbox) {
-        if let Some(keeper) = &mut self.keeper
-            && let Err(why) = keeper.keep(kept_name(kind), &text_of(&items))
-        {
-            let text = format!("{} is in force, but not kept: {why}", kind.name());
-            self.say(now, MavSeverity::MAV_SEVERITY_WARNING, &text, out);
-        }
-        match kind {
-            Kind::Mission => {
-                let going = self.run.is_going();
-                self.run = Run::new(items.len());
-                self.goals = items;
-                if going {
-                    self.hold(now, "the mission was replaced", out);
-                }
-            }
-            Kind::Fence => {
-                self.fence = items;
-                self.untold = true;
-                self.tell_fence(now, out);
-            }
-        }
-        self.show(now, out);
-    }
-
-    fn clear(&mut self, now: Instant, from: Peer, kind: MavMissionType, out: &mut Outbox) {
-        let all = kind == MavMissionType::MAV_MISSION_TYPE_ALL;
-        let kinds: Vec<Kind> = if all {
-            vec![Kind::Mission, Kind::Fence]
-        } else {
-            match Kind::of(kind) {
-                Some(one) => vec![one],
-                None => {
-                    return acknowledge(from, kind, Code::MAV_MISSION_UNSUPPORTED, 0, out);
-                }
-            }
-        };
-        for one in kinds {
-            if self.upload.as_ref().is_some_and(|upload| upload.kind == one) {
-                self.upload = None;
-            }
-            if !self.items(one).is_empty() {
-                self.replace(now, one, Vec::new(), out);
-            }
-        }
-        acknowledge(from, kind, Code::MAV_MISSION_ACCEPTED, 0, out);
-    }
-
     // ---- the fence
 
     /// Tells the core where it may drive.
@@ -341,127 +168,6 @@ impl Mission {
             self.asked.remove(0);
         }
         self.asked.push((id, what));
-    }
-
-    // ---- driving
-
-    /// Stops on the way, with a word about it.
-    fn hold(&mut self, now: Instant, why: &str, out: &mut Outbox) {
-        let text = format!("Mission stopped: {why}");
-        self.say(now, MavSeverity::MAV_SEVERITY_WARNING, &text, out);
-        if self.run.is_going() {
-            self.run.state = State::Paused;
-        }
-        self.rest(out);
-    }
-
-    fn rest(&mut self, out: &mut Outbox) {
-        if let Some(id) = out.request(CoreRequest::Hold) {
-            self.remember(id, Asked::Hold);
-        }
-        self.wish = Some(Mode::Hold);
-    }
-
-    /// What is to be asked of the core to start or go on.
-    fn start(&mut self, now: Instant, first: Option<usize>) -> Result<Vec<CoreRequest>, Denial> {
-        if self.goals.is_empty() {
-            return Err(Denial::failed("there is no mission"));
-        }
-        let from = match first {
-            Some(first) => {
-                self.run.forget_jumps();
-                first
-            }
-            None if self.run.state == State::Complete => {
-                self.run.forget_jumps();
-                0
-            }
-            None => self.run.current,
-        };
-        let before = self.run.clone();
-        let failed =
-            |(at, fault): (usize, Fault)| Denial::failed(format!("item {at}: {}", fault.reason));
-        match self.run.seek(&self.goals, from, self.origin.as_ref()) {
-            Ok(Next::Ask(requests)) => {
-                self.starting = Some(now);
-                Ok(requests)
-            }
-            Ok(Next::End) => {
-                self.run = before;
-                Err(Denial::failed("the mission has no goal from there on"))
-            }
-            Err(fault) => {
-                self.run = before;
-                Err(failed(fault))
-            }
-        }
-    }
-
-    /// Goes on with an item while driving.
-    fn go_on(&mut self, now: Instant, from: usize, out: &mut Outbox) {
-        match self.run.seek(&self.goals, from, self.origin.as_ref()) {
-            Ok(Next::Ask(requests)) => {
-                for request in requests {
-                    match out.request(request) {
-                        Some(id) => self.remember(id, Asked::Goal),
-                        None => return self.hold(now, "the autopilot takes no goal", out),
-                    }
-                }
-            }
-            Ok(Next::End) => {
-                self.say(now, MavSeverity::MAV_SEVERITY_INFO, "Mission complete", out);
-                self.rest(out);
-            }
-            Err((at, fault)) => {
-                self.hold(now, &format!("item {at}: {}", fault.reason), out);
-            }
-        }
-        self.show(now, out);
-    }
-
-    fn reached(&mut self, now: Instant, out: &mut Outbox) {
-        let seq = self.run.current as u16;
-        out.send(
-            To::Everyone,
-            MavMessage::MISSION_ITEM_REACHED(c::MISSION_ITEM_REACHED_DATA { seq }),
-        );
-        let Some(item) = self.goals.get(self.run.current).copied() else { return };
-        if !item.goes_on {
-            // The next start goes on with the one behind it.
-            let next = self.run.current + 1;
-            if next < self.goals.len() {
-                self.run.current = next;
-                return self.hold(now, &format!("item {seq} says so"), out);
-            }
-        }
-        self.run.state = State::Waiting(now + Run::wait(&item));
-        self.go_on_after_wait(now, out);
-    }
-
-    fn go_on_after_wait(&mut self, now: Instant, out: &mut Outbox) {
-        if let State::Waiting(until) = self.run.state
-            && now >= until
-        {
-            self.go_on(now, self.run.current + 1, out);
-        }
-    }
-
-    /// Another item is to be the present one.
-    fn set_current(&mut self, now: Instant, seq: u32, out: &mut Outbox) -> Result<(), String> {
-        let at = seq as usize;
-        if at >= self.goals.len() {
-            return Err(format!("item {seq} of a mission of {}", self.goals.len()));
-        }
-        let going = self.run.is_going();
-        self.run.current = at;
-        if going {
-            self.go_on(now, at, out);
-        } else if self.run.state == State::Complete {
-            self.run.state = State::Paused;
-        }
-        self.next_word = now;
-        self.show(now, out);
-        Ok(())
     }
 
     // ---- telling
@@ -493,25 +199,6 @@ impl Mission {
             self.next_word = now + PERIOD;
             out.send(To::Everyone, MavMessage::MISSION_CURRENT(data.clone()));
             self.shown = Some(data);
-        }
-    }
-
-    /// The mode that was chosen is another one.
-    fn follow_mode(&mut self, now: Instant, mode: Mode) {
-        self.mode = Some(mode);
-        if mode == Mode::Auto {
-            self.starting = None;
-            match self.run.state {
-                State::Asked => self.run.state = State::Driving,
-                // Continued after a pause, with the same goal.
-                State::Paused if self.run.goal().is_some() => self.run.state = State::Driving,
-                _ => {}
-            }
-        } else if self.starting.is_none_or(|since| now.since(since) >= SETTLE) {
-            self.starting = None;
-            if self.run.is_going() {
-                self.run.state = State::Paused;
-            }
         }
     }
 }
@@ -570,49 +257,7 @@ impl Service for Mission {
     }
 
     fn handle_raw(&mut self, now: Instant, from: Peer, raw: &RawBody, out: &mut Outbox) {
-        // Where system, component and kind of list are in each message.
-        let (target, kind) = match raw.id {
-            c::MISSION_ITEM_INT_DATA::ID | c::MISSION_ITEM_DATA::ID => (32, 37),
-            c::MISSION_COUNT_DATA::ID
-            | c::MISSION_REQUEST_DATA::ID
-            | c::MISSION_REQUEST_INT_DATA::ID => (2, 4),
-            c::MISSION_REQUEST_LIST_DATA::ID | c::MISSION_CLEAR_ALL_DATA::ID => (0, 2),
-            _ => return,
-        };
-        let [system, component] = raw.bytes(target);
-        let ours = (system == 0 || system == self.system)
-            && (component == 0 || component == super::COMPONENT);
-        if !ours {
-            return;
-        }
-        let [kind] = raw.bytes(kind);
-        if target == 32
-            && let Some(upload) = &self.upload
-            && upload.from == from
-            && upload.kind.number() as u8 == kind
-        {
-            // An item with a command or a frame that the dialect does not know.
-            let seq = u16::from_le_bytes(raw.bytes(28));
-            if seq != upload.next() {
-                return;
-            }
-            let [frame] = raw.bytes(34);
-            let command = u16::from_le_bytes(raw.bytes(30));
-            let own = upload.kind;
-            self.upload = None;
-            let fault = if is_known_frame(frame) {
-                Fault::new(Code::MAV_MISSION_UNSUPPORTED, format!("command {command} is unknown"))
-            } else {
-                let reason = format!("frame {frame} is unknown");
-                Fault::new(Code::MAV_MISSION_UNSUPPORTED_FRAME, reason)
-            };
-            self.refuse(now, from, own, seq, &fault, out);
-        } else if target != 32 {
-            // A kind of list that nobody knows.
-            let code = Code::MAV_MISSION_UNSUPPORTED as u8;
-            let payload = vec![from.system, from.component, code, kind];
-            out.send(from, RawBody { id: c::MISSION_ACK_DATA::ID, payload });
-        }
+        self.take_raw(now, from, raw, out);
     }
 
     fn handle_command(
@@ -622,34 +267,8 @@ impl Service for Mission {
         out: &mut Outbox,
     ) -> Option<Result<Step, Denial>> {
         match wanted.command {
-            MavCmd::MAV_CMD_MISSION_START => {
-                Some(wanted.whole(1, u16::MAX.into()).and_then(|first| {
-                    let at = first as usize;
-                    if at > 0 && at >= self.goals.len() {
-                        let count = self.goals.len();
-                        return Err(Denial::denied(format!("item {first} of {count}")));
-                    }
-                    let requests = self.start(now, (first > 0).then_some(at))?;
-                    Ok(Step::Ask(requests, Some(Mode::Auto)))
-                }))
-            }
-            MavCmd::MAV_CMD_DO_SET_MISSION_CURRENT => {
-                // -1 keeps the present item.
-                let keep = wanted.params[0] == -1.0;
-                let seq = if keep {
-                    Ok(self.run.current as u32)
-                } else {
-                    wanted.whole(1, u16::MAX.into())
-                };
-                let reset = wanted.params[1] == 1.0;
-                Some(seq.and_then(|seq| {
-                    if reset {
-                        self.run.forget_jumps();
-                    }
-                    self.set_current(now, seq, out).map_err(Denial::denied)?;
-                    Ok(Step::Done)
-                }))
-            }
+            MavCmd::MAV_CMD_MISSION_START => Some(self.start_as(now, wanted)),
+            MavCmd::MAV_CMD_DO_SET_MISSION_CURRENT => Some(self.choose(now, wanted, out)),
             _ => None,
         }
     }
@@ -775,25 +394,6 @@ impl Service for Mission {
         (id == c::MISSION_CURRENT_DATA::ID)
             .then(|| MavMessage::MISSION_CURRENT(self.current_message()))
     }
-}
-
-fn acknowledge(to: Peer, kind: MavMissionType, code: Code, opaque_id: u32, out: &mut Outbox) {
-    let data = c::MISSION_ACK_DATA {
-        target_system: to.system,
-        target_component: to.component,
-        mavtype: code,
-        mission_type: kind,
-        opaque_id,
-    };
-    out.send(to, MavMessage::MISSION_ACK(data));
-}
-
-/// Whether the dialect has a frame of that number.
-fn is_known_frame(frame: u8) -> bool {
-    let mut payload = [0; 38];
-    payload[34] = frame;
-    payload[30] = MavCmd::MAV_CMD_NAV_WAYPOINT as u8;
-    c::MISSION_ITEM_INT_DATA::deser(crate::wire::mavlink::MavlinkVersion::V2, &payload).is_ok()
 }
 
 #[cfg(test)]

@@ -11,9 +11,11 @@
 
 #![allow(deprecated, reason = "ground stations still speak the old words")]
 
+mod asked;
 mod channels;
 mod commander;
 mod core;
+mod fields;
 mod ftp;
 mod ftp_sessions;
 #[cfg(test)]
@@ -25,12 +27,14 @@ mod mission_run;
 mod mission_upload;
 mod modes;
 mod obstacles;
+mod orders;
 mod outbox;
 mod parameters;
 mod places;
 mod said_places;
 mod service;
 mod settings;
+mod stations;
 mod streams;
 mod telemetry;
 mod wanted;
@@ -52,40 +56,20 @@ pub use settings::{Identity, KeySetup, MavlinkParams, StationLost, Unsigned};
 pub use streams::{Interval, IntervalFault};
 pub use wanted::{Denial, Step, Wanted};
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use channels::Channels;
-use commander::{Commander, Scope, acknowledge_raw};
-use said_places::SaidPlaces;
+use commander::Commander;
+use said_places::{SaidPlaces, configured_origin};
 use telemetry::Facts;
 
 use crate::frames::Point;
 use crate::params::Params;
 use crate::time::{Duration, Instant};
 use crate::wire::mavlink::common::{
-    self as c, MavCmd, MavMessage, MavProtocolCapability, MavResult, MavSeverity, MavType,
+    self as c, MavMessage, MavProtocolCapability, MavResult, MavSeverity, MavType,
 };
-use crate::wire::mavlink::{Body, Geodetic, Message, MessageData, Origin, RawBody};
-
-/// What messages are made from; a macro because only some fields of `self` are borrowed.
-macro_rules! facts {
-    ($self:ident, $view:expr, $now:expr) => {
-        Facts {
-            params: &$self.params,
-            view: $view,
-            mode: $self.commander.mode(),
-            origin: $self.origin,
-            home: $self.home.unwrap_or(Home { position: $view.start.position, heading_rad: None }),
-            capabilities: $self
-                .services
-                .iter()
-                .fold(MavProtocolCapability::empty(), |all, one| all | one.capabilities()),
-            unix_us: $self.unix_us.map_or(0, |(at, us)| us + $now.since(at).as_micros() as u64),
-            dropped: $self.out.dropped(),
-        }
-    };
-}
+use crate::wire::mavlink::{Body, Message, MessageData, Origin, RawBody};
 
 /// The component that an autopilot is.
 pub const COMPONENT: u8 = 1;
@@ -95,8 +79,6 @@ const VIEW_LIFE: Duration = Duration::from_millis(500);
 const HEARTBEAT_PERIOD: Duration = Duration::from_secs(1);
 /// How often time is looked at while there is anybody to talk to.
 const TICK: Duration = Duration::from_millis(20);
-/// Ground stations that are watched.
-const STATIONS_MAX: usize = 16;
 
 /// Where the car returns to, map frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,8 +106,8 @@ pub struct Ground {
     next_heartbeat: Instant,
     next_time: Instant,
     shown: Option<(c::HEARTBEAT_DATA, c::CURRENT_MODE_DATA)>,
-    /// Ground stations and when each was heard last.
-    stations: BTreeMap<(u8, u8), Instant>,
+    /// When a ground station was heard last, whichever: only the loss of all of them counts.
+    station_heard: Option<Instant>,
     station_lost: bool,
     lost_request: Option<RequestId>,
 }
@@ -149,29 +131,10 @@ impl Ground {
             next_heartbeat: Instant::ZERO,
             next_time: Instant::ZERO,
             shown: None,
-            stations: BTreeMap::new(),
+            station_heard: None,
             station_lost: false,
             lost_request: None,
         }
-    }
-
-    /// Takes up what stations said of origin and home before a restart, a text that `keeper` kept
-    /// under [`SAID_PLACES`], and keeps what they will say.
-    ///
-    /// # Errors
-    /// What is wrong with the text; then nothing of it is taken up.
-    pub fn keep_places(
-        &mut self,
-        keeper: Option<Box<dyn Keeper>>,
-        kept: Option<&str>,
-    ) -> Result<(), String> {
-        self.place_keeper = keeper;
-        let configured = configured_origin(&self.params);
-        let said = kept.map(|text| SaidPlaces::of_text(text, configured)).transpose()?;
-        self.said = said.unwrap_or_default();
-        self.origin = self.said.origin.or(self.origin);
-        self.home = self.said.home.or(self.home);
-        Ok(())
     }
 
     /// Number of this system.
@@ -241,7 +204,9 @@ impl Ground {
             return;
         }
         match message {
-            MavMessage::HEARTBEAT(data) => self.handle_heartbeat(now, from, data),
+            MavMessage::HEARTBEAT(data) if data.mavtype == MavType::MAV_TYPE_GCS => {
+                self.station_heard = Some(now);
+            }
             MavMessage::COMMAND_LONG(data) => self.command(now, from, Wanted::of_long(data)),
             MavMessage::COMMAND_INT(data) => self.command(now, from, Wanted::of_int(data)),
             MavMessage::SET_MODE(data) => self.set_mode(now, data),
@@ -290,7 +255,7 @@ impl Ground {
             } else {
                 MavResult::MAV_RESULT_UNSUPPORTED
             };
-            acknowledge_raw(from, command, result, &mut self.out);
+            self.commander.refuse_raw(now, from, command, result, &mut self.out);
             return;
         }
         for service in &mut self.services {
@@ -380,13 +345,18 @@ impl Ground {
         self.watch_stations(now);
         self.show_changes(now);
         let Some(view) = fresh(&self.view, now) else { return };
-        let facts = facts!(self, view, now);
+        let mut due = Vec::new();
         for (id, channel) in self.channels.iter_mut() {
-            channel.streams.take_due(now, |number| {
-                for message in telemetry::messages(number, 0, &facts) {
-                    self.out.send(To::Channel(id), message);
-                }
-            });
+            channel.streams.take_due(now, |number| due.push((id, number)));
+        }
+        let facts = self.facts(view, now);
+        let told = |(id, number)| {
+            let messages = telemetry::messages(number, 0, &facts);
+            messages.into_iter().map(move |message| (id, message))
+        };
+        let sent: Vec<_> = due.into_iter().flat_map(told).collect();
+        for (id, message) in sent {
+            self.out.send(To::Channel(id), message);
         }
     }
 
@@ -423,222 +393,25 @@ impl Ground {
             && self.channels.heard(now, from)
     }
 
+    /// What messages are made from.
+    fn facts<'a>(&'a self, view: &'a CoreView, now: Instant) -> Facts<'a> {
+        let start = Home { position: view.start.position, heading_rad: None };
+        let services = self.services.iter();
+        Facts {
+            params: &self.params,
+            view,
+            mode: self.commander.mode(),
+            origin: self.origin,
+            home: self.home.unwrap_or(start),
+            capabilities: services
+                .fold(MavProtocolCapability::empty(), |all, one| all | one.capabilities()),
+            unix_us: self.unix_us.map_or(0, |(at, us)| us + now.since(at).as_micros() as u64),
+            dropped: self.out.dropped(),
+        }
+    }
+
     fn is_for_us(&self, system: u8, component: u8) -> bool {
         (system == 0 || system == self.system()) && (component == 0 || component == COMPONENT)
-    }
-
-    fn command(&mut self, now: Instant, from: Peer, wanted: Wanted) {
-        // A message that is asked for again was not heard, whatever became of the answer.
-        let asks = self.asked_message(&wanted).is_some();
-        if !asks && self.commander.is_repetition(now, from, &wanted, &mut self.out) {
-            return;
-        }
-        let step = self.step(now, from, &wanted);
-        let places = step.is_ok()
-            && matches!(
-                wanted.command,
-                MavCmd::MAV_CMD_DO_SET_HOME | MavCmd::MAV_CMD_DO_SET_GLOBAL_ORIGIN
-            );
-        if places {
-            let said = match wanted.command {
-                MavCmd::MAV_CMD_DO_SET_HOME => SaidPlaces { home: self.home, ..self.said },
-                _ => SaidPlaces { origin: self.origin, ..self.said },
-            };
-            self.keep_said(said);
-        }
-        // The order matters to ground stations: first the acknowledgement, then the message.
-        let asked = step.is_ok().then(|| self.asked_message(&wanted)).flatten();
-        self.commander.proceed(now, Some(from), wanted, step, &mut self.out);
-        if let Some((id, which)) = asked {
-            self.send_message(now, from, id, which);
-        }
-        if places {
-            self.show_places(now);
-        }
-        self.show_changes(now);
-    }
-
-    fn step(&mut self, now: Instant, from: Peer, wanted: &Wanted) -> Result<Step, Denial> {
-        match wanted.command {
-            MavCmd::MAV_CMD_REQUEST_MESSAGE => {
-                let id = wanted.whole(1, 0xFF_FFFF)?;
-                let ours = telemetry::knows(id)
-                    || self.services.iter().any(|service| service.message(id).is_some());
-                if id == c::AVAILABLE_MODES_DATA::ID && !wanted.params[1].is_nan() {
-                    let count = Mode::all(self.params.identity).len() as u32;
-                    wanted.whole(2, count)?;
-                }
-                return if ours { Ok(Step::Done) } else { Err(Denial::unsupported()) };
-            }
-            MavCmd::MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES
-            | MavCmd::MAV_CMD_REQUEST_PROTOCOL_VERSION
-            | MavCmd::MAV_CMD_GET_HOME_POSITION => return Ok(Step::Done),
-            MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL => {
-                return self.set_interval(now, from, wanted);
-            }
-            MavCmd::MAV_CMD_GET_MESSAGE_INTERVAL => {
-                wanted.whole(1, u32::from(u16::MAX))?;
-                return Ok(Step::Done);
-            }
-            _ => {}
-        }
-        let auto = match wanted.command {
-            MavCmd::MAV_CMD_DO_SET_MODE => {
-                let (main, sub) = (wanted.params[1], wanted.params[2]);
-                let custom = wanted.params[0] as u32 & 1 == 1;
-                let sub = if sub.is_nan() { 0.0 } else { sub };
-                custom && Mode::of_command(main as u32, sub as u32) == Ok(Mode::Auto)
-            }
-            MavCmd::MAV_CMD_DO_SET_STANDARD_MODE => {
-                Mode::of_standard(wanted.params[0] as u32) == Some(Mode::Auto)
-            }
-            _ => false,
-        };
-        let told = if auto { mission_start() } else { *wanted };
-        for service in &mut self.services {
-            if let Some(step) = service.handle_command(now, &told, &mut self.out) {
-                return step;
-            }
-        }
-        let home = self.home.get_or_insert(Home { position: Point::origin(), heading_rad: None });
-        let mut scope = Scope {
-            params: &self.params,
-            view: fresh(&self.view, now),
-            origin: &mut self.origin,
-            home,
-        };
-        self.commander.obey(wanted, &mut scope, &mut self.out)
-    }
-
-    /// The message that a command asks for, and which of several.
-    fn asked_message(&self, wanted: &Wanted) -> Option<(u32, u32)> {
-        match wanted.command {
-            MavCmd::MAV_CMD_REQUEST_MESSAGE => {
-                Some((wanted.params[0] as u32, wanted.params[1] as u32))
-            }
-            MavCmd::MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES => {
-                Some((c::AUTOPILOT_VERSION_DATA::ID, 0))
-            }
-            MavCmd::MAV_CMD_REQUEST_PROTOCOL_VERSION => Some((c::PROTOCOL_VERSION_DATA::ID, 0)),
-            MavCmd::MAV_CMD_GET_HOME_POSITION => Some((c::HOME_POSITION_DATA::ID, 0)),
-            MavCmd::MAV_CMD_GET_MESSAGE_INTERVAL => {
-                Some((c::MESSAGE_INTERVAL_DATA::ID, wanted.params[0] as u32))
-            }
-            _ => None,
-        }
-    }
-
-    fn send_message(&mut self, now: Instant, to: Peer, id: u32, which: u32) {
-        if id == c::MESSAGE_INTERVAL_DATA::ID {
-            let channel = self.channels.get(to.channel);
-            let period_s = channel.and_then(|channel| channel.streams.period_s(which));
-            let interval_us = match period_s {
-                None => 0,
-                Some(0.0) => -1,
-                Some(period_s) => (period_s * 1e6).round() as i32,
-            };
-            let data = c::MESSAGE_INTERVAL_DATA { interval_us, message_id: which as u16 };
-            self.out.send(to, MavMessage::MESSAGE_INTERVAL(data));
-            return;
-        }
-        if let Some(message) = self.services.iter().find_map(|service| service.message(id)) {
-            self.out.send(to, message);
-            return;
-        }
-        // What has never been seen cannot be told; of a core that fell silent the last is told.
-        let Some((_, view)) = &self.view else { return };
-        let facts = facts!(self, view, now);
-        for message in telemetry::messages(id, which, &facts) {
-            self.out.send(to, message);
-        }
-    }
-
-    fn set_interval(&mut self, now: Instant, from: Peer, wanted: &Wanted) -> Result<Step, Denial> {
-        let id = wanted.whole(1, 0xFF_FFFF)?;
-        let interval = match wanted.finite(2)? {
-            0.0 => Interval::Default,
-            -1.0 => Interval::Never,
-            micros => Interval::Seconds(micros * 1e-6),
-        };
-        let Some(channel) = self.channels.get_mut(from.channel) else {
-            return Err(Denial::failed("the link is gone"));
-        };
-        match channel.streams.set(now, id, interval) {
-            Ok(()) => Ok(Step::Done),
-            Err(IntervalFault::NoStream) => Err(Denial::unsupported()),
-            Err(fault @ IntervalFault::Range) => Err(Denial::denied(fault.to_string())),
-        }
-    }
-
-    fn set_mode(&mut self, now: Instant, data: &c::SET_MODE_DATA) {
-        let home = self.home.get_or_insert(Home { position: Point::origin(), heading_rad: None });
-        let scope = Scope {
-            params: &self.params,
-            view: fresh(&self.view, now),
-            origin: &mut self.origin,
-            home,
-        };
-        let mission = self.commander.set_mode_message(now, data, &scope, &mut self.out);
-        if let Some(wanted) = mission {
-            let mut services = self.services.iter_mut();
-            let step = services
-                .find_map(|service| service.handle_command(now, &wanted, &mut self.out))
-                .unwrap_or_else(|| Err(Denial::failed("there is no mission")));
-            self.commander.proceed(now, None, wanted, step, &mut self.out);
-        }
-        self.show_changes(now);
-    }
-
-    fn set_origin(&mut self, now: Instant, data: &c::SET_GPS_GLOBAL_ORIGIN_DATA) {
-        let altitude_m = f64::from(data.altitude) * 1e-3;
-        let place = Geodetic::from_e7(data.latitude, data.longitude)
-            .ok_or_else(|| Denial::denied("no place on the earth"))
-            .and_then(|place| places::checked_altitude(altitude_m).map(|()| place));
-        match place {
-            Ok(place) => {
-                self.origin = Some(Origin { place, altitude_m });
-                self.keep_said(SaidPlaces { origin: self.origin, ..self.said });
-                self.show_places(now);
-            }
-            Err(denial) => {
-                let text = format!("SET_GPS_GLOBAL_ORIGIN refused: {}", denial.reason);
-                self.out.say(MavSeverity::MAV_SEVERITY_WARNING, &text);
-            }
-        }
-    }
-
-    /// Stations repeat themselves: only news is written.
-    fn keep_said(&mut self, said: SaidPlaces) {
-        if std::mem::replace(&mut self.said, said) == said {
-            return;
-        }
-        let Some(keeper) = &mut self.place_keeper else { return };
-        let text = self.said.text(configured_origin(&self.params));
-        if let Err(why) = keeper.keep(SAID_PLACES, &text) {
-            let text = format!("Origin and home are in force, but not kept: {why}");
-            self.out.say(MavSeverity::MAV_SEVERITY_WARNING, &text);
-        }
-    }
-
-    /// The origin, to the services.
-    fn tell_origin(&mut self, now: Instant) {
-        if let Some(origin) = &self.origin {
-            for service in &mut self.services {
-                service.handle_origin(now, origin, &mut self.out);
-            }
-        }
-    }
-
-    /// Origin and home, to everybody.
-    fn show_places(&mut self, now: Instant) {
-        self.tell_origin(now);
-        let Some((_, view)) = &self.view else { return };
-        let facts = facts!(self, view, now);
-        for id in [c::GPS_GLOBAL_ORIGIN_DATA::ID, c::HOME_POSITION_DATA::ID] {
-            for message in telemetry::messages(id, 0, &facts) {
-                self.out.send(To::Everyone, message);
-            }
-        }
     }
 
     fn answer_timesync(&mut self, now: Instant, from: Peer, data: &c::TIMESYNC_DATA) {
@@ -674,56 +447,14 @@ impl Ground {
             self.out.say(MavSeverity::MAV_SEVERITY_WARNING, text);
             return;
         }
-        // Its answer is of no interest to the station: the message has none.
-        self.lost_request = self.out.request(CoreRequest::SigningKey(data.secret_key));
-    }
-
-    fn handle_heartbeat(&mut self, now: Instant, from: Peer, data: &c::HEARTBEAT_DATA) {
-        let key = (from.system, from.component);
-        if data.mavtype == MavType::MAV_TYPE_GCS
-            && (self.stations.len() < STATIONS_MAX || self.stations.contains_key(&key))
-        {
-            self.stations.insert(key, now);
-        }
-    }
-
-    /// Looks whether every ground station has gone silent.
-    fn watch_stations(&mut self, now: Instant) {
-        let Some(newest) = self.stations.values().max().copied() else { return };
-        let Some(view) = fresh(&self.view, now) else { return };
-        let silent = now.since(newest).as_secs_f64() > self.params.station_timeout_s;
-        // One that went silent before the car was armed is not missed.
-        let lost = silent && (self.station_lost || view.mode.is_armed());
-        if lost == self.station_lost {
+        // The message's own word for "no signatures any more"; as a key it would be everybody's.
+        if data.secret_key == [0; 32] {
+            let text = "SETUP_SIGNING refused: signatures end only with the configuration";
+            self.out.say(MavSeverity::MAV_SEVERITY_WARNING, text);
             return;
         }
-        self.station_lost = lost;
-        let action = self.params.station_lost;
-        if lost {
-            let done = match action {
-                StationLost::Report => "driving on",
-                StationLost::Stop => "stopping",
-                StationLost::Return => "returning",
-            };
-            let text = format!("Ground station lost, {done}");
-            self.out.say(MavSeverity::MAV_SEVERITY_WARNING, &text);
-        } else {
-            self.out.say(MavSeverity::MAV_SEVERITY_INFO, "Ground station is back");
-        }
-        match action {
-            StationLost::Report => {}
-            StationLost::Stop => {
-                self.lost_request = self.out.request(CoreRequest::GroundStationLost(lost));
-            }
-            StationLost::Return if lost => {
-                if let Some(home) = self.home {
-                    self.commander.set_mode(Mode::Return);
-                    let goto = CoreRequest::Goto { point: home.position, through_known: true };
-                    self.lost_request = self.out.request(goto);
-                }
-            }
-            StationLost::Return => {}
-        }
+        // Its answer is of no interest to the station: the message has none.
+        self.lost_request = self.out.request(CoreRequest::SigningKey(data.secret_key));
     }
 
     /// Services may choose a mode.
@@ -738,7 +469,7 @@ impl Ground {
     /// Sends heartbeat and mode when they are due or have changed, while the core is alive.
     fn show_changes(&mut self, now: Instant) {
         let Some(view) = fresh(&self.view, now) else { return };
-        let facts = facts!(self, view, now);
+        let facts = self.facts(view, now);
         let heartbeat = telemetry::heartbeat(&facts);
         let [MavMessage::CURRENT_MODE(mode)] =
             &telemetry::messages(c::CURRENT_MODE_DATA::ID, 0, &facts)[..]
@@ -764,23 +495,6 @@ impl Ground {
 /// The view, if it is not too old.
 fn fresh(view: &Option<(Instant, CoreView)>, now: Instant) -> Option<&CoreView> {
     view.as_ref().filter(|(at, _)| now.since(*at) < VIEW_LIFE).map(|(_, view)| view)
-}
-
-/// Where the configuration says that the map lies.
-fn configured_origin(params: &MavlinkParams) -> Option<Origin> {
-    let place = Geodetic::checked(params.origin_latitude_deg, params.origin_longitude_deg);
-    place
-        .filter(|_| params.origin_known)
-        .map(|place| Origin { place, altitude_m: params.origin_altitude_m })
-}
-
-fn mission_start() -> Wanted {
-    Wanted {
-        command: MavCmd::MAV_CMD_MISSION_START,
-        params: [0.0; 7],
-        place: None,
-        confirmation: 0,
-    }
 }
 
 #[cfg(test)]

@@ -285,6 +285,12 @@ impl Service for Parameters {
     }
 
     fn handle_raw(&mut self, now: Instant, from: Peer, raw: &RawBody, out: &mut Outbox) {
+        let [system, component] = raw.bytes(4);
+        let ours = (system == 0 || u32::from(system) == self.values.mavlink.system_id)
+            && (component == 0 || component == super::COMPONENT);
+        if !ours {
+            return;
+        }
         // A value of a type that does not exist: the present one is the answer.
         let name: [u8; 16] = raw.bytes(6);
         let id = CharArray::from(name);

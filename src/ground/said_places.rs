@@ -2,9 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Home, places};
+use super::outbox::To;
+use super::service::Keeper;
+use super::settings::MavlinkParams;
+use super::wanted::Denial;
+use super::{Ground, Home, places, telemetry};
 use crate::frames::Point;
-use crate::wire::mavlink::{Geodetic, Origin};
+use crate::time::Instant;
+use crate::wire::mavlink::common::{self as c, MavSeverity};
+use crate::wire::mavlink::{Geodetic, MessageData, Origin};
 
 /// The name under which they are kept.
 pub const SAID_PLACES: &str = "places.json";
@@ -106,6 +112,87 @@ impl SaidPlaces {
         });
         Ok(Self { origin, home: home.transpose()? })
     }
+}
+
+impl Ground {
+    /// Takes up what stations said of origin and home before a restart, a text that `keeper` kept
+    /// under [`SAID_PLACES`], and keeps what they will say.
+    ///
+    /// # Errors
+    /// What is wrong with the text; then nothing of it is taken up.
+    pub fn keep_places(
+        &mut self,
+        keeper: Option<Box<dyn Keeper>>,
+        kept: Option<&str>,
+    ) -> Result<(), String> {
+        self.place_keeper = keeper;
+        let configured = configured_origin(&self.params);
+        let said = kept.map(|text| SaidPlaces::of_text(text, configured)).transpose()?;
+        self.said = said.unwrap_or_default();
+        self.origin = self.said.origin.or(self.origin);
+        self.home = self.said.home.or(self.home);
+        Ok(())
+    }
+
+    pub(super) fn set_origin(&mut self, now: Instant, data: &c::SET_GPS_GLOBAL_ORIGIN_DATA) {
+        let altitude_m = f64::from(data.altitude) * 1e-3;
+        let place = Geodetic::from_e7(data.latitude, data.longitude)
+            .ok_or_else(|| Denial::denied("no place on the earth"))
+            .and_then(|place| places::checked_altitude(altitude_m).map(|()| place));
+        match place {
+            Ok(place) => {
+                self.origin = Some(Origin { place, altitude_m });
+                self.keep_said(SaidPlaces { origin: self.origin, ..self.said });
+                self.show_places(now);
+            }
+            Err(denial) => {
+                let text = format!("SET_GPS_GLOBAL_ORIGIN refused: {}", denial.reason);
+                self.out.say(MavSeverity::MAV_SEVERITY_WARNING, &text);
+            }
+        }
+    }
+
+    /// Stations repeat themselves: only news is written.
+    pub(super) fn keep_said(&mut self, said: SaidPlaces) {
+        if std::mem::replace(&mut self.said, said) == said {
+            return;
+        }
+        let Some(keeper) = &mut self.place_keeper else { return };
+        let text = self.said.text(configured_origin(&self.params));
+        if let Err(why) = keeper.keep(SAID_PLACES, &text) {
+            let text = format!("Origin and home are in force, but not kept: {why}");
+            self.out.say(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        }
+    }
+
+    /// The origin, to the services.
+    pub(super) fn tell_origin(&mut self, now: Instant) {
+        if let Some(origin) = &self.origin {
+            for service in &mut self.services {
+                service.handle_origin(now, origin, &mut self.out);
+            }
+        }
+    }
+
+    /// Origin and home, to everybody.
+    pub(super) fn show_places(&mut self, now: Instant) {
+        self.tell_origin(now);
+        let Some((_, view)) = &self.view else { return };
+        let facts = self.facts(view, now);
+        let ids = [c::GPS_GLOBAL_ORIGIN_DATA::ID, c::HOME_POSITION_DATA::ID];
+        let messages = ids.map(|id| telemetry::messages(id, 0, &facts));
+        for message in messages.into_iter().flatten() {
+            self.out.send(To::Everyone, message);
+        }
+    }
+}
+
+/// Where the configuration says that the map lies.
+pub(super) fn configured_origin(params: &MavlinkParams) -> Option<Origin> {
+    let place = Geodetic::checked(params.origin_latitude_deg, params.origin_longitude_deg);
+    place
+        .filter(|_| params.origin_known)
+        .map(|place| Origin { place, altitude_m: params.origin_altitude_m })
 }
 
 #[cfg(test)]

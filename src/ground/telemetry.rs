@@ -136,7 +136,7 @@ fn one(id: u32, facts: &Facts<'_>) -> Option<MavMessage> {
         c::EXTENDED_SYS_STATE_DATA::ID => {
             MavMessage::EXTENDED_SYS_STATE(c::EXTENDED_SYS_STATE_DATA {
                 vtol_state: MavVtolState::MAV_VTOL_STATE_UNDEFINED,
-                landed_state: MavLandedState::MAV_LANDED_STATE_ON_GROUND,
+                landed_state: landed_state(facts),
             })
         }
         c::AUTOPILOT_VERSION_DATA::ID => MavMessage::AUTOPILOT_VERSION(version(facts)),
@@ -270,6 +270,17 @@ fn sys_status(facts: &Facts<'_>) -> c::SYS_STATUS_DATA {
         onboard_control_sensors_present_extended: MavSysStatusSensorExtended::empty(),
         onboard_control_sensors_enabled_extended: MavSysStatusSensorExtended::empty(),
         onboard_control_sensors_health_extended: MavSysStatusSensorExtended::empty(),
+    }
+}
+
+/// A rover of PX4 says that it flies as long as it is armed (`RoverLandDetector.cpp`), and
+/// QGroundControl offers go-to, pause and going on with a mission only to what flies
+/// (`GuidedActionsController.qml`).
+fn landed_state(facts: &Facts<'_>) -> MavLandedState {
+    if facts.params.identity == Identity::Px4 && facts.view.mode.is_armed() {
+        MavLandedState::MAV_LANDED_STATE_IN_AIR
+    } else {
+        MavLandedState::MAV_LANDED_STATE_ON_GROUND
     }
 }
 

@@ -50,6 +50,16 @@ impl Wanted {
         }
     }
 
+    /// The one that choosing a mission is.
+    pub const fn mission_start() -> Self {
+        Self {
+            command: MavCmd::MAV_CMD_MISSION_START,
+            params: [0.0; 7],
+            place: None,
+            confirmation: 0,
+        }
+    }
+
     /// Its name without the common beginning.
     pub fn name(&self) -> String {
         let name = format!("{:?}", self.command);
@@ -81,6 +91,11 @@ impl Wanted {
                 "parameter {number} is {value}, allowed is a whole number from 0 to {max}"
             )))
         }
+    }
+
+    /// One of its numbers as a whole number from 0 to `max`, which may be left out (not-a-number).
+    pub fn optional_whole(&self, number: usize, max: u32) -> Result<Option<u32>, Denial> {
+        if self.params[number - 1].is_nan() { Ok(None) } else { self.whole(number, max).map(Some) }
     }
 
     /// Whether it is the same one again.

@@ -1,6 +1,6 @@
 """What MAVLink's component_metadata/*.schema.json (draft 7, no further properties) ask of the files that
 describe parameters, written down by hand. The parameter schema's `version` is left out on purpose: it
-asks for 2 or more, and QGroundControl reads nothing but 1 (CompInfoParam.cc)."""
+asks for 3 or more (state of July 2026), and QGroundControl reads nothing but 1 (CompInfoParam.cc)."""
 
 import re
 
@@ -9,7 +9,7 @@ PARAMETER = {
     "name": str, "type": str, "shortDesc": str, "longDesc": str, "units": str,
     "default": (int, float), "decimalPlaces": int, "min": (int, float), "max": (int, float),
     "increment": (int, float), "rebootRequired": bool, "group": str, "category": str,
-    "volatile": bool, "values": list, "bitmask": list,
+    "volatile": bool, "values": list, "bitmask": list, "readOnly": bool,
 }
 TYPES = {"Uint8", "Int8", "Uint16", "Int16", "Uint32", "Int32", "Float"}
 NAME = re.compile(r"^[.\-a-zA-Z0-9_{}]{1,16}$")

@@ -40,12 +40,13 @@ class Station:
         self.last = {}
         self.counts = {}
         self.next_beat = 0.0
+        self.silent = False
         self.await_(lambda: "HEARTBEAT" in self.last, "a heartbeat")
         self.link.target_system = 1
         self.link.target_component = 1
 
     def listen(self, seconds=0.05):
-        if time.monotonic() >= self.next_beat:
+        if not self.silent and time.monotonic() >= self.next_beat:
             self.next_beat = time.monotonic() + 1.0
             self.link.mav.heartbeat_send(
                 mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0
@@ -113,10 +114,12 @@ class Station:
 class Drive(unittest.TestCase):
     identity = "generic"
 
+    settings = ()
+
     def setUp(self):
         self.folder = tempfile.TemporaryDirectory()
         self.vehicle = Vehicle(
-            self.folder.name, "--set", f"mavlink.identity={self.identity}"
+            self.folder.name, "--set", f"mavlink.identity={self.identity}", *self.settings
         )
         self.addCleanup(self.folder.cleanup)
         self.addCleanup(self.stop)
@@ -234,6 +237,29 @@ class Generic(Drive):
         self.end()
 
 
+class Silence(Drive):
+    settings = ("--set", "mavlink.station_lost=stop", "--set", "mavlink.station_timeout_s=2")
+
+    def test_a_link_that_dies_stops_the_car_and_one_that_comes_back_lets_it_go_on(self):
+        station = self.station
+        station.arm()
+        # Slowly: it is still on its way when nobody is heard any more.
+        self.assertEqual(station.long(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 0.5), ACCEPTED)
+        self.assertEqual(station.go(*GOAL), ACCEPTED)
+        station.await_(lambda: station.speed() > 0.3, "motion")
+        station.silent = True
+        station.await_(
+            lambda: any("Failsafe: ground station lost" in text for text in station.texts),
+            "failsafe")
+        station.await_(lambda: station.speed() < 0.02, "rest")
+        station.await_(
+            lambda: station.last["HEARTBEAT"].system_status == mavlink.MAV_STATE_CRITICAL, "state")
+        self.assertGreater(math.dist(station.position(), GOAL), 1.0)
+        station.silent = False
+        station.await_(lambda: station.speed() > 0.3, "motion")
+        self.end()
+
+
 class Px4(Drive):
     identity = "px4"
 
@@ -242,7 +268,14 @@ class Px4(Drive):
         beat = station.last["HEARTBEAT"]
         self.assertEqual(beat.autopilot, mavlink.MAV_AUTOPILOT_PX4)
         self.assertEqual(mavutil.mode_string_v10(beat), "LOITER")
+        station.await_(lambda: "EXTENDED_SYS_STATE" in station.last, "state")
+        landed = mavlink.MAV_LANDED_STATE_ON_GROUND
+        self.assertEqual(station.last["EXTENDED_SYS_STATE"].landed_state, landed)
         station.arm()
+        # Without that QGroundControl offers neither go-to nor pause.
+        station.await_(
+            lambda: station.last["EXTENDED_SYS_STATE"].landed_state
+            == mavlink.MAV_LANDED_STATE_IN_AIR, "state of what may move")
         self.assertEqual(station.long(mavlink.MAV_CMD_DO_SET_MODE, 1, 6), ACCEPTED)
         station.await_(
             lambda: mavutil.mode_string_v10(station.last["HEARTBEAT"]) == "OFFBOARD", "mode", 2.0)

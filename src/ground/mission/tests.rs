@@ -8,9 +8,10 @@ use proptest::prelude::*;
 use super::*;
 use crate::frames::{Point, Pose};
 use crate::ground::lossy::{Lossy, STATION, at, station};
+use crate::ground::mission_items::text_of;
 use crate::ground::{CoreCounts, CoreFault, FaultAction, Fresh, RefusalKind};
 use crate::wire::mavlink::Geodetic;
-use crate::wire::mavlink::common::MavFrame;
+use crate::wire::mavlink::common::{MavFrame, MavResult};
 
 #[derive(Clone, Default)]
 struct Memory(Arc<Mutex<BTreeMap<String, String>>>);
@@ -110,9 +111,13 @@ impl Talk {
     }
 
     fn start(&mut self, first: f32) -> Result<(), Denial> {
+        self.start_to(first, 0.0)
+    }
+
+    fn start_to(&mut self, first: f32, last: f32) -> Result<(), Denial> {
         let wanted = Wanted {
             command: MavCmd::MAV_CMD_MISSION_START,
-            params: [first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            params: [first, last, 0.0, 0.0, 0.0, 0.0, 0.0],
             place: None,
             confirmation: 0,
         };
@@ -432,6 +437,24 @@ fn a_pause_keeps_the_item_and_a_new_start_goes_on_with_it() {
     assert!(talk.start(3.0).is_err());
     talk.start(2.0).unwrap();
     assert_eq!(talk.goals(), [3.0]);
+}
+
+#[test]
+fn a_mission_is_started_from_any_item_but_not_to_one_before_its_end() {
+    let mut talk = Talk::new();
+    talk.upload(Kind::Mission, &[goal(1), goal(2), goal(3)]);
+    for last in [1.0, 0.5, -1.0, f32::INFINITY] {
+        let denial = talk.start_to(0.0, last).unwrap_err();
+        assert_eq!(denial.result, MavResult::MAV_RESULT_DENIED, "{last}: {}", denial.reason);
+        assert!(!talk.service.run.is_going());
+    }
+    // None is meant by zero, by not-a-number, and by the end.
+    for last in [0.0, f32::NAN, 2.0, 7.0] {
+        talk.start_to(1.0, last).unwrap();
+        assert_eq!(talk.goals(), [2.0], "{last}");
+    }
+    talk.start_to(f32::NAN, f32::NAN).unwrap();
+    assert_eq!(talk.goals(), [2.0], "goes on with the present item");
 }
 
 #[test]

@@ -200,6 +200,27 @@ fn what_is_refused_is_answered_with_the_value_that_stays_and_a_reason() {
 }
 
 #[test]
+fn a_value_of_a_type_that_does_not_exist_is_answered_if_it_was_meant_for_this_car() {
+    let mut talk = Talk::new();
+    let mut raw = |system: u8, component: u8| {
+        let mut payload = vec![0; 23];
+        payload[..4].copy_from_slice(&2.0_f32.to_le_bytes());
+        (payload[4], payload[5]) = (system, component);
+        payload[6..19].copy_from_slice(b"SPD_SPEED_MAX");
+        payload[22] = 99;
+        let raw = RawBody { id: c::PARAM_SET_DATA::ID, payload };
+        talk.service.handle_raw(talk.now, STATION, &raw, &mut talk.out);
+        talk.drain()
+    };
+    for (system, component) in [(2, 1), (1, 100), (255, 0)] {
+        assert_eq!(raw(system, component).len(), 0, "for {system}/{component}");
+    }
+    for (system, component) in [(1, 1), (0, 0), (1, 0)] {
+        assert_eq!(values(&raw(system, component)), [("SPD_SPEED_MAX".to_owned(), 4.0)]);
+    }
+}
+
+#[test]
 fn each_value_waits_for_its_time() {
     let mut talk = Talk::new();
     talk.at_rest = false;
