@@ -1,5 +1,5 @@
-"""As much of MAVLink 2 as it takes to send the car somewhere else (COMMAND_INT with DO_REPOSITION), and to
-flood its link.
+"""As much of MAVLink 2 as it takes to be a ground station that is heard, to send the car somewhere else
+(COMMAND_INT with DO_REPOSITION), to terminate its drive, and to flood its link.
 
 Usage, for a flood of its own process: mavlink.py PORT RATE; it ends when its input does, and says how many
 packets a second the kernel took.
@@ -16,6 +16,7 @@ import time
 HEARTBEAT, HEARTBEAT_EXTRA = 0, 50
 COMMAND_LONG, COMMAND_LONG_EXTRA = 76, 152
 COMMAND_INT, COMMAND_INT_EXTRA = 75, 158
+DO_FLIGHTTERMINATION = 185
 DO_REPOSITION = 192
 LOCAL_ENU = 4
 # Change to the mode that drives to goals, whichever was on.
@@ -49,6 +50,17 @@ def reposition(x_m, y_m):
     return message(COMMAND_INT, COMMAND_INT_EXTRA, payload)
 
 
+def heartbeat():
+    """A ground station is there."""
+    return message(HEARTBEAT, HEARTBEAT_EXTRA, struct.pack("<IBBBBB", 0, 6, 8, 0, 4, 3))
+
+
+def termination():
+    """The drive is over, for good."""
+    payload = struct.pack("<7fHBBB", 1.0, 0, 0, 0, 0, 0, 0, DO_FLIGHTTERMINATION, 1, 1, 0)
+    return message(COMMAND_LONG, COMMAND_LONG_EXTRA, payload)
+
+
 def send(data, port):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.sendto(data, ("127.0.0.1", port))
@@ -62,8 +74,7 @@ def noise(count=20, seed=1):
     for i in range(count):
         kind = i % 5
         if kind == 0:
-            beat = struct.pack("<IBBBBB", 0, 6, 8, 0, 4, 3)
-            made.append(message(HEARTBEAT, HEARTBEAT_EXTRA, beat))
+            made.append(heartbeat())
         elif kind == 1:
             # REQUEST_MESSAGE of AUTOPILOT_VERSION.
             ask = struct.pack("<7fHBBB", 148.0, 0, 0, 0, 0, 0, 0, 512, 1, 1, 0)

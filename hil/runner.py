@@ -36,6 +36,7 @@ class Play:
         self.binary = binary
         self.folder = folder
         self.truth = Truth(folder / "truth.jsonl")
+        self.config = folder / "daemon.toml"
         self.car = None
         self.daemons = []
         # What was done when: the step's words, the car's time, its speed.
@@ -87,12 +88,16 @@ class Play:
         if state:
             x, y, heading = state["x_m"], state["y_m"], state["heading_rad"]
         command = [self.binary, "run", "--can", self.bus.interface]
+        if "config" in s.daemon:
+            if not self.daemons:
+                self.config.write_text(s.daemon["config"])
+            command += ["--config", self.config]
         command += [f"--start={x:.6f},{y:.6f},{math.degrees(heading):.6f}"]
         if drive:
             goal = s.daemon.get("goal", world["goal"])
             command += ["--goal=" + ",".join(f"{value:.6f}" for value in goal)]
         command += ["--set", f"speed.speed_max_mps={s.speed_mps}"]
-        if any(step.do in ("goal", "mavlink flood") for step in s.steps):
+        if any(step.do == "goal" or step.do.startswith("mavlink ") for step in s.steps):
             command += ["--set", f"mavlink.links=udpin:127.0.0.1:{PORT}"]
         for setting in s.daemon.get("set", []):
             command += ["--set", setting]
@@ -144,9 +149,15 @@ class Play:
                 os.posix_fallocate(file.fileno(), 0, 31 << 20)
         elif do == "send":
             self.bus.send(value)
+        elif do == "config":
+            self.config.write_text(value)
         elif do == "goal":
             x, y = map(float, value.split())
             mavlink.send(mavlink.reposition(x, y), PORT)
+        elif do == "mavlink heartbeat":
+            mavlink.send(mavlink.heartbeat(), PORT)
+        elif do == "mavlink terminate":
+            mavlink.send(mavlink.termination(), PORT)
         elif do == "mavlink flood":
             self.packets = PacketFlood(PORT, value)
         elif do == "mavlink calm":

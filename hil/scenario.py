@@ -27,8 +27,13 @@ ACTIONS = {
     # Share of the processor taken away; name of a thread of the daemon that is held still.
     "hog": float,
     "stop thread": str,
+    # What the daemon's configuration file says from now on (TOML).
+    "config": str,
     # A goal by MAVLink, x and y in the map frame.
     "goal": str,
+    # A ground station is heard, once; it terminates the drive.
+    "mavlink heartbeat": None,
+    "mavlink terminate": None,
     # Packets a second on the daemon's MAVLink link, of all kinds.
     "mavlink flood": int,
     "mavlink calm": None,
@@ -114,7 +119,7 @@ def step(table, where):
         if do == word and kind is None:
             value = None
             break
-        if kind is not None and do.startswith(word + " "):
+        if kind is not None and do.startswith((word + " ", word + "\n")):
             try:
                 value = kind(do[len(word) + 1 :])
             except ValueError:
@@ -150,7 +155,7 @@ def read(path):
     for name, part, known in (
         ("world", world, {"maze", "family", "map", "start", "goal"}),
         ("car", car, {"set", "script", "seed", "stay"}),
-        ("daemon", daemon, {"set", "small_disk", "goal"}),
+        ("daemon", daemon, {"set", "small_disk", "goal", "config"}),
     ):
         if set(part) - known:
             raise Mistake(f"{where}: unknown {sorted(set(part) - known)} in {name}")

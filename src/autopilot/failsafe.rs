@@ -126,6 +126,8 @@ pub const ODOMETRY_LATE_SHARE: f64 = 5.0 / 6.0;
 pub const STATUS_TIMEOUT_S: f64 = 0.1;
 /// A status frame may be lost and the next one is sent a period later.
 pub const STATUS_LATENCY_S: f64 = 0.05;
+/// The free space on the disk is looked at this often.
+pub const DISK_PERIOD_S: f64 = 1.0;
 /// The car's controller takes setpoints for lost after this long (`docs/can-interface.md`).
 pub const SETPOINT_LOST_S: f64 = 0.1;
 /// A tail that is not the newest one may still be on its way to the car for this long: two periods
@@ -344,7 +346,7 @@ pub const TABLE: &[Row] = &[
         fault: Fault::DiskFull,
         detection: "less free space than `daemon.disk_free_min_mb` on the disk of the state directory or \
                     of a log being written; the car cannot be armed meanwhile",
-        after_s: |_| 0.0,
+        after_s: |_| DISK_PERIOD_S,
         action: Action::Report,
         clears: Clears::ByItself,
     },

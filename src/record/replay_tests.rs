@@ -41,7 +41,11 @@ impl Default for Drive {
 
 /// Drives, doing something at every simulated millisecond; gives the log and the digest.
 fn record(drive: Drive, mut each: impl FnMut(u64, &mut Rig, &Log)) -> (Vec<u8>, String) {
-    let Drive { params, latency, stopwatch, faults, seconds } = drive;
+    let Drive { mut params, latency, stopwatch, faults, seconds } = drive;
+    if let Latency::Fixed(seconds) = latency {
+        // As the rig has it.
+        params.autopilot.plan_budget_s = seconds;
+    }
     let maze = generate(Family::Thin, 3, 0.1).unwrap();
     let readings = Readings::default();
     let mut rig = Rig::new(RigSetup {

@@ -9,6 +9,7 @@
 mod trial;
 
 mod arming;
+mod bench;
 mod link;
 mod planners;
 mod play;

@@ -497,7 +497,8 @@ fn disk_full(play: &mut Play) -> Outcome {
     let now = play.rig.now();
     let full = HostHealth { disk_full: true, ..HostHealth::default() };
     play.rig.core_mut().handle_host_health(now, full);
-    let raised = play.expect_raised(0.0)?;
+    // The table's second is how often the program looks; here it is told.
+    let raised = play.expect_raised(-1.0)?;
     play.expect_action(raised)?;
     let now = play.rig.now();
     must!(play.rig.core().pre_arm(now).contains(&Refusal::DiskFull), "no reason not to arm");

@@ -210,3 +210,25 @@ fn a_bus_full_of_foreign_frames_ends_in_a_stop() {
     run_on(&mut rig, 4.5);
     assert_safe_at_rest(&rig, "flooded");
 }
+
+/// Ahead of the scans in priority, and behind them: two thirds of the bus, beside our own traffic.
+#[test]
+fn of_five_thousand_foreign_frames_a_second_nothing_of_ours_is_lost() {
+    for id in [0x0F0, 0x321] {
+        let mut trial = Trial::maze(Family::Thin, 3).for_s(5.0);
+        trial.faults.floods.push(apexd::sim::faults::Flood {
+            id,
+            fd: false,
+            period_s: 2e-4,
+            from_s: 1.0,
+            until_s: f64::INFINITY,
+        });
+        let mut rig = trial.rig();
+        run_on(&mut rig, 5.0);
+        let wire = rig.core().wire_statistics();
+        assert!(wire.foreign > 19_000, "{wire:?}");
+        assert_eq!((wire.lost, wire.incomplete, wire.wrong_crc), (0, 0, 0), "{wire:?}");
+        assert!(rig.core().faults().iter().next().is_none(), "{:?}", rig.core().faults());
+        assert!(rig.car().speed_mps > 0.5, "{:?}", rig.car());
+    }
+}

@@ -190,7 +190,7 @@ pub fn run(
     if summary.outcome != "cut off" {
         end_well(marker);
     }
-    tracing::info!("{} after {:.1} s", summary.outcome, summary.time_s);
+    tracing::info!("{summary}");
     drop(log);
     if args.json {
         say(out, &serde_json::to_string(&summary).expect("a summary is plain data"));

@@ -1,5 +1,7 @@
 //! What the daemon knows of itself: how punctual it is, what it costs, what was lost.
 
+use std::fmt;
+
 use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::time::TimeValLike;
 use serde::Serialize;
@@ -173,6 +175,61 @@ pub struct Summary {
     pub faults: Vec<FaultFigures>,
 }
 
+/// Of durations in milliseconds.
+fn text_ms(Spread { p50, p99, max }: &Spread) -> String {
+    format!("{p50:.2}/{p99:.2}/{max:.2}")
+}
+
+impl fmt::Display for Frames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { received, lost, refused, dropped, unsent, .. } = self;
+        write!(
+            f,
+            "{received} frames received, {lost} lost, {refused} refused, {dropped} dropped, \
+             {unsent} unsent"
+        )
+    }
+}
+
+impl fmt::Display for Queues {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let of = |Spread { p50, p99, max }: &Spread| format!("{p50:.0}/{p99:.0}/{max:.0}");
+        let (received, to_send) = (of(&self.received), of(&self.to_send));
+        write!(f, "queues {received} received {to_send} to send {} requests", of(&self.requests))
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} after {:.1} s, {} ticks ({} missed); ms p50/p99/max: jitter {} tick {} \
+             scan-to-setpoint {} plan {} predict {} age {}; {} scans, {} plans ({} late, {} lost), {} \
+             guard stops; cpu {:.0} % (busiest second {:.0} %), {}; {}, {} log lines dropped",
+            self.outcome,
+            self.time_s,
+            self.ticks,
+            self.ticks_missed,
+            text_ms(&self.tick_jitter_ms),
+            text_ms(&self.tick_ms),
+            text_ms(&self.scan_to_setpoint_ms),
+            text_ms(&self.plan_ms),
+            text_ms(&self.predict_ms),
+            text_ms(&self.age_ms),
+            self.scans,
+            self.replans,
+            self.plans_late,
+            self.plans_lost,
+            self.guard_stops,
+            self.cpu.mean * 100.0,
+            self.cpu.max * 100.0,
+            self.frames,
+            self.queues,
+            self.log_dropped,
+        )
+    }
+}
+
 impl Statistics {
     /// Nothing yet.
     pub fn new(now: Instant) -> Self {
@@ -230,26 +287,21 @@ impl Statistics {
 
     /// The line of a second that has passed; the next one begins.
     pub fn line(&mut self, cpu: f64, frames: &Frames, log_dropped: u64) -> String {
-        let of = |figure: &Figure| {
-            let Spread { p50, p99, max } = figure.second.spread_ms();
-            format!("{p50:.2}/{p99:.2}/{max:.2}")
-        };
+        let of = |figure: &Figure| text_ms(&figure.second.spread_ms());
         let line = format!(
             "ms p50/p99/max: jitter {} tick {} scan-to-setpoint {} plan {} predict {}; cpu \
-             {:.0} %, {} frames received, {} lost, {} refused, {} dropped, {} unsent, {} waiting, \
-             {} log lines dropped",
+             {:.0} %, {frames}; {}, {} log lines dropped",
             of(&self.tick_jitter),
             of(&self.tick),
             of(&self.scan_to_setpoint),
             of(&self.plan),
             of(&self.predict),
             cpu * 100.0,
-            frames.received,
-            frames.lost,
-            frames.refused,
-            frames.dropped,
-            frames.unsent,
-            self.outbox.second.spread().max,
+            Queues {
+                received: self.burst.second.spread(),
+                to_send: self.outbox.second.spread(),
+                requests: self.requests.second.spread(),
+            },
             log_dropped,
         );
         for figure in [
