@@ -1,4 +1,4 @@
-//! The map with what is foreseen for nearly certain filled in beside the way.
+//! The map with what is foreseen for certain filled in beside the way.
 //!
 //! Shapes are fitted into this map, so that they lie right before the view opens. Certificates and
 //! stops know nothing of it.
@@ -12,10 +12,19 @@ use crate::tunables;
 tunables! {
     /// What of a prediction shapes rely on.
     pub struct ForeseenParams in "foreseen" {
-        /// Unseen space is taken for free where it is occupied with less than this probability.
-        free_below: f64 = 0.2, live, in 0.0..=0.5, "";
-        /// And for occupied with more than this.
-        occupied_above: f64 = 0.8, live, in 0.5..=1.0, "";
+        /// Unseen space is taken for free where it is occupied with at most this probability. With 0
+        /// only who knows the map is relied on, no network: a shape drawn into space that turns out
+        /// otherwise costs a fast car more than one that fits saves.
+        free_at_most: f64 = 0.0, live, in 0.0..=0.5, "";
+        /// And for occupied with at least this.
+        occupied_at_least: f64 = 1.0, live, in 0.5..=1.0, "";
+    }
+}
+
+impl ForeseenParams {
+    /// Whether an answer of this view may be relied on.
+    fn trusts(&self, view: &dyn OccupancyView) -> bool {
+        view.is_ever_certain() || self.free_at_most > 0.0 || self.occupied_at_least < 1.0
     }
 }
 
@@ -83,6 +92,9 @@ impl Foreseen {
         horizon_m: f64,
         view: &mut dyn OccupancyView,
     ) {
+        if !params.trusts(view) {
+            return;
+        }
         self.place_squares(known, way, horizon_m, view);
         if self.squares.is_empty() {
             return;
@@ -123,8 +135,8 @@ impl Foreseen {
         }
         for (c, p) in self.cells[first..].iter().zip(&self.answers) {
             let cell = match f64::from(*p) {
-                p if p < params.free_below => Cell::Free,
-                p if p > params.occupied_above => Cell::Occupied,
+                p if p <= params.free_at_most => Cell::Free,
+                p if p >= params.occupied_at_least => Cell::Occupied,
                 _ => continue,
             };
             self.grid.set(*c, cell);
@@ -270,7 +282,7 @@ mod tests {
     impl Oddly {
         fn probability(salt: i64, p: Point) -> f32 {
             let (x, y) = ((p.x * 10.0).floor() as i64, (p.y * 10.0).floor() as i64);
-            [0.0, 0.1, 0.5, 0.5, 0.9, 1.0][(x * 7 + y * 13 + salt).rem_euclid(6) as usize]
+            [0.0, 0.0625, 0.125, 0.5, 0.9375, 1.0][(x * 7 + y * 13 + salt).rem_euclid(6) as usize]
         }
     }
 
@@ -283,15 +295,23 @@ mod tests {
         }
     }
 
-    struct Nothing;
+    /// Must not be asked.
+    struct Nothing {
+        silent: bool,
+        certain: bool,
+    }
 
     impl OccupancyView for Nothing {
         fn occupied(&mut self, _: &[Point], _: &mut [f32]) {
-            panic!("a silent view must not be asked");
+            panic!("there is nothing to be asked for");
         }
 
         fn silent(&self, _: Point, _: Point) -> bool {
-            true
+            self.silent
+        }
+
+        fn is_ever_certain(&self) -> bool {
+            self.certain
         }
     }
 
@@ -316,8 +336,10 @@ mod tests {
             ends in prop::collection::vec((-1.0..4.0, -1.0..4.0, -1.0..4.0, -1.0..4.0), 2..5),
             salt in 0_i64..6,
             silent in 0_usize..3,
+            limits in prop::sample::select(&[(0.0, 1.0), (0.1, 0.9), (0.2, 0.8)]),
         ) {
-            let params = ForeseenParams::default();
+            let (free_at_most, occupied_at_least) = limits;
+            let params = ForeseenParams { free_at_most, occupied_at_least };
             let mut foreseen = Foreseen::new(1.5);
             let mut map = some_map(&maps[0]);
             for (step, news) in maps.iter().enumerate() {
@@ -347,8 +369,8 @@ mod tests {
                 literal.grow_to(foreseen.grid.bounds());
                 for p in &view.asked {
                     let cell = match Oddly::probability(view.salt, *p) {
-                        p if p < 0.2 => Cell::Free,
-                        p if p > 0.8 => Cell::Occupied,
+                        p if f64::from(p) <= free_at_most => Cell::Free,
+                        p if f64::from(p) >= occupied_at_least => Cell::Occupied,
                         _ => Cell::Unknown,
                     };
                     prop_assert_eq!(map.get(map.cell_at(*p)), Cell::Unknown);
@@ -372,16 +394,19 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_view_leaves_the_map_as_it_is() {
-        let map = some_map(&[0; 900]);
-        let mut foreseen = Foreseen::new(1.5);
-        foreseen.begin(map.bounds());
-        let way = line(Point::new(0.0, 0.0), Point::new(3.0, 3.0));
-        foreseen.look(&ForeseenParams::default(), &map, way.into_iter(), 20.0, &mut Nothing);
-        assert!(foreseen.is_silent());
-        let mut lethal = vec![false; map.cells().len()];
-        foreseen.mask(&map, 0.3, &mut lethal);
-        assert!(!lethal.contains(&true));
+    fn a_view_that_is_silent_or_never_certain_leaves_the_map_as_it_is() {
+        for (silent, certain) in [(true, true), (false, false)] {
+            let map = some_map(&[0; 900]);
+            let mut foreseen = Foreseen::new(1.5);
+            foreseen.begin(map.bounds());
+            let way = line(Point::new(0.0, 0.0), Point::new(3.0, 3.0)).into_iter();
+            let mut view = Nothing { silent, certain };
+            foreseen.look(&ForeseenParams::default(), &map, way, 20.0, &mut view);
+            assert!(foreseen.is_silent());
+            let mut lethal = vec![false; map.cells().len()];
+            foreseen.mask(&map, 0.3, &mut lethal);
+            assert!(!lethal.contains(&true));
+        }
     }
 
     #[test]

@@ -53,6 +53,12 @@ pub trait OccupancyView {
     fn silent(&self, _low: Point, _high: Point) -> bool {
         false
     }
+
+    /// Whether it may know anything for certain: an answer of 0 or 1 of a view that may not is but
+    /// a number that was rounded.
+    fn is_ever_certain(&self) -> bool {
+        true
+    }
 }
 
 /// The answer where nothing is foreseen.

@@ -115,6 +115,10 @@ impl OccupancyView for RandomPredictor {
             *out = (hash >> 40) as f32 / (1_u32 << 24) as f32;
         }
     }
+
+    fn is_ever_certain(&self) -> bool {
+        false
+    }
 }
 
 impl Predictor for RandomPredictor {

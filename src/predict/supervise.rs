@@ -152,6 +152,10 @@ impl OccupancyView for SupervisedView<'_> {
     fn silent(&self, low: Point, high: Point) -> bool {
         self.supervised.is_silent() || self.supervised.predictor.silent(low, high)
     }
+
+    fn is_ever_certain(&self) -> bool {
+        self.supervised.predictor.is_ever_certain()
+    }
 }
 
 #[cfg(test)]

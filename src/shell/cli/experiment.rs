@@ -418,7 +418,7 @@ mod tests {
         assert_eq!(paper_.sweep.unwrap().sensor_m, [2.5, 5.0, 7.5, 10.0]);
         let full = paper("--preset full");
         assert_eq!((full.families.len(), full.speeds_mps.len()), (3, 6));
-        assert_eq!(full.methods.len(), paper_.methods.len() + 2);
+        assert_eq!(full.methods.len(), paper_.methods.len() + 3);
         assert!(full.tasks().is_ok(), "every name is known");
     }
 
