@@ -32,8 +32,9 @@ const MEMORY_STEP_M: f64 = 0.1;
 /// A car that is suddenly this far from its tracks has been put down elsewhere, metres.
 const JUMP_M: f64 = 0.5;
 /// An alternative that takes this much longer is tried only after the direct way has been hoped
-/// for, seconds.
-const DETOUR_S: f64 = 2.0;
+/// for, seconds. With less the car hopes itself into dead ends that it does not get out of; with
+/// much more it looks into every corner of a furnished floor.
+const DETOUR_S: f64 = 5.0;
 /// Farther ahead much may change before the car gets there, metres.
 const NEAR_M: f64 = 3.0;
 /// Narrow places are not looked for nearer than this, metres: where the car stands is no place to
