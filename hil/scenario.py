@@ -87,7 +87,7 @@ EXPECT = {
     "faults",
     # Names of faults that it must not raise.
     "no_faults",
-    # The car is at rest at most so long after the last step that asks for it (s).
+    # The car is at rest at most so long after the first thing that happened (s).
     "stopped_within_s",
     # From that rest on the car must not move again.
     "stays",
@@ -177,6 +177,8 @@ def read(path):
     )
     if table:
         raise Mistake(f"{where}: unknown {sorted(table)}")
+    if "config" not in daemon and any(step.do == "config" for step in scenario.steps):
+        raise Mistake(f"{where}: a step changes the configuration file, and daemon.config has none")
     if not isinstance(world.get("maze"), list):
         return [scenario]
     return [

@@ -53,7 +53,7 @@ pub fn check(wanted: &Wanted) -> Result<(), Denial> {
     }
     match wanted.command {
         MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => {
-            // What stops the car is not refused for a number that only arming looks at.
+            // A car is stopped whatever stands where arming has a meaning.
             if wanted.whole(1, 1)? == 0 {
                 return Ok(());
             }
@@ -119,7 +119,7 @@ mod tests {
     use crate::wire::mavlink::common::{self as c, MavFrame, MavMessage, MavResult};
     use crate::wire::mavlink::{MavlinkVersion, Message, MessageData};
 
-    /// Nobody understands these as whole numbers, and only some fields have room for them.
+    /// None of them is a small whole number from zero on, which is what most fields hold.
     const ODD: [(&str, f32); 7] = [
         ("nan", f32::NAN),
         ("inf", f32::INFINITY),

@@ -22,9 +22,13 @@ tunables! {
 }
 
 impl ForeseenParams {
-    /// Whether an answer of this view may be relied on.
-    fn trusts(&self, view: &dyn OccupancyView) -> bool {
-        view.is_ever_certain() || self.free_at_most > 0.0 || self.occupied_at_least < 1.0
+    /// The answers of a view that are relied on: up to the first number free, from the second one on
+    /// occupied; none where that asks for certainty and the view never is certain.
+    fn limits(&self, view: &dyn OccupancyView) -> (Option<f64>, Option<f64>) {
+        let certain = view.is_ever_certain();
+        let free = (certain || self.free_at_most > 0.0).then_some(self.free_at_most);
+        let occupied = (certain || self.occupied_at_least < 1.0).then_some(self.occupied_at_least);
+        (free, occupied)
     }
 }
 
@@ -92,7 +96,8 @@ impl Foreseen {
         horizon_m: f64,
         view: &mut dyn OccupancyView,
     ) {
-        if !params.trusts(view) {
+        let (free_at_most, occupied_at_least) = params.limits(view);
+        if free_at_most.is_none() && occupied_at_least.is_none() {
             return;
         }
         self.place_squares(known, way, horizon_m, view);
@@ -134,10 +139,13 @@ impl Foreseen {
             view.occupied(&self.points, &mut self.answers);
         }
         for (c, p) in self.cells[first..].iter().zip(&self.answers) {
-            let cell = match f64::from(*p) {
-                p if p <= params.free_at_most => Cell::Free,
-                p if p >= params.occupied_at_least => Cell::Occupied,
-                _ => continue,
+            let p = f64::from(*p);
+            let cell = if free_at_most.is_some_and(|most| p <= most) {
+                Cell::Free
+            } else if occupied_at_least.is_some_and(|least| p >= least) {
+                Cell::Occupied
+            } else {
+                continue;
             };
             self.grid.set(*c, cell);
             let one = CellRect { x0: c.ix, y0: c.iy, x1: c.ix + 1, y1: c.iy + 1 };
@@ -276,6 +284,7 @@ mod tests {
     /// Says of each cell what a number made from its place says, and counts the questions.
     struct Oddly {
         salt: i64,
+        certain: bool,
         asked: Vec<Point>,
     }
 
@@ -292,6 +301,10 @@ mod tests {
                 *out = Self::probability(self.salt, *p);
                 self.asked.push(*p);
             }
+        }
+
+        fn is_ever_certain(&self) -> bool {
+            self.certain
         }
     }
 
@@ -336,9 +349,12 @@ mod tests {
             ends in prop::collection::vec((-1.0..4.0, -1.0..4.0, -1.0..4.0, -1.0..4.0), 2..5),
             salt in 0_i64..6,
             silent in 0_usize..3,
-            limits in prop::sample::select(&[(0.0, 1.0), (0.1, 0.9), (0.2, 0.8)]),
+            limits in prop::sample::select(&[(0.0, 1.0), (0.1, 0.9), (0.2, 0.8), (0.0, 0.9), (0.1, 1.0)]),
+            certain: bool,
         ) {
             let (free_at_most, occupied_at_least) = limits;
+            let free_trusted = certain || free_at_most > 0.0;
+            let occupied_trusted = certain || occupied_at_least < 1.0;
             let params = ForeseenParams { free_at_most, occupied_at_least };
             let mut foreseen = Foreseen::new(1.5);
             let mut map = some_map(&maps[0]);
@@ -360,7 +376,7 @@ mod tests {
                 if step % 3 == silent {
                     continue; // the copy lags behind
                 }
-                let mut view = Oddly { salt: salt + step as i64, asked: Vec::new() };
+                let mut view = Oddly { salt: salt + step as i64, certain, asked: Vec::new() };
                 for (ax, ay, bx, by) in &ends {
                     let way = line(Point::new(*ax, *ay), Point::new(*bx, *by));
                     foreseen.look(&params, &map, way.into_iter(), 20.0, &mut view);
@@ -369,8 +385,10 @@ mod tests {
                 literal.grow_to(foreseen.grid.bounds());
                 for p in &view.asked {
                     let cell = match Oddly::probability(view.salt, *p) {
-                        p if f64::from(p) <= free_at_most => Cell::Free,
-                        p if f64::from(p) >= occupied_at_least => Cell::Occupied,
+                        p if free_trusted && f64::from(p) <= free_at_most => Cell::Free,
+                        p if occupied_trusted && f64::from(p) >= occupied_at_least => {
+                            Cell::Occupied
+                        }
                         _ => Cell::Unknown,
                     };
                     prop_assert_eq!(map.get(map.cell_at(*p)), Cell::Unknown);

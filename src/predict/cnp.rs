@@ -165,10 +165,6 @@ impl OccupancyView for CnpPredictor {
             || beyond(first.iy, last.iy, car.iy)
             || !self.reach.touches(low.inf(&first_centre), high.sup(&last_centre))
     }
-
-    fn is_ever_certain(&self) -> bool {
-        false
-    }
 }
 
 impl Predictor for CnpPredictor {

@@ -57,7 +57,7 @@ pub trait OccupancyView {
     /// Whether it may know anything for certain: an answer of 0 or 1 of a view that may not is but
     /// a number that was rounded.
     fn is_ever_certain(&self) -> bool {
-        true
+        false
     }
 }
 

@@ -84,6 +84,10 @@ impl OccupancyView for OraclePredictor {
     fn silent(&self, low: Point, high: Point) -> bool {
         !self.reach.touches(low, high)
     }
+
+    fn is_ever_certain(&self) -> bool {
+        true
+    }
 }
 
 impl Predictor for OraclePredictor {
@@ -114,10 +118,6 @@ impl OccupancyView for RandomPredictor {
             // The upper 24 bits fill the mantissa.
             *out = (hash >> 40) as f32 / (1_u32 << 24) as f32;
         }
-    }
-
-    fn is_ever_certain(&self) -> bool {
-        false
     }
 }
 

@@ -157,6 +157,9 @@ impl Trial {
         params.plan.policy = self.policy;
         params.plan.reading = self.reading;
         params.speed.speed_max_mps = self.speed_mps;
+        // Harder than the default: shapes are fitted to what nobody is certain of.
+        params.foreseen.free_at_most = 0.2;
+        params.foreseen.occupied_at_least = 0.8;
         params
     }
 

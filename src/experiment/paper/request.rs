@@ -84,8 +84,8 @@ impl Method {
 
 impl Method {
     /// The paper's method as its text can be read otherwise: by way of the frontiers, and with the
-    /// penalty on the search's heuristic; and with shapes fitted to what the network is nearly sure of.
-    pub fn other_readings() -> Vec<Self> {
+    /// penalty on the search's heuristic. And with shapes fitted to what the network is nearly sure of.
+    pub fn variants() -> Vec<Self> {
         [
             "map-predictive+cnp:plan.reading=via-frontier",
             "map-predictive+cnp:search.penalty=literal",

@@ -100,8 +100,8 @@ pub enum Preset {
     /// The paper's: 30 mazes at 1 to 4 m/s, at 2 Hz and after each scan, and sensor range against
     /// prediction range: hours.
     Paper,
-    /// The paper's and 6 and 8 m/s, in all three families of mazes, and the other readings of its
-    /// text.
+    /// The paper's and 6 and 8 m/s, in all three families of mazes, the other readings of its
+    /// text, and shapes fitted to what the network is nearly sure of.
     Full,
 }
 
@@ -198,7 +198,7 @@ impl PaperArgs {
         let mut methods = self.methods.clone();
         if methods.is_empty() {
             methods = Method::defaults();
-            methods.extend(full.then(Method::other_readings).into_iter().flatten());
+            methods.extend(full.then(Method::variants).into_iter().flatten());
         }
         let sweep_mazes = self.sweep_mazes.unwrap_or(if small { 0 } else { 10 });
         let compared = ["frontier", "map-predictive+cnp", "map-predictive+oracle"];

@@ -24,15 +24,15 @@ fn choice<T: Copy + Send + Sync + 'static>(
     })
 }
 
-pub(in crate::shell) fn family() -> impl TypedValueParser<Value = Family> {
+pub(super) fn family() -> impl TypedValueParser<Value = Family> {
     choice(Family::ALL, Family::name, Family::text)
 }
 
-pub(in crate::shell) fn layout() -> impl TypedValueParser<Value = Layout> {
+pub(super) fn layout() -> impl TypedValueParser<Value = Layout> {
     choice(Layout::ALL, Layout::name, Layout::text)
 }
 
-pub(in crate::shell) fn policy() -> impl TypedValueParser<Value = Policy> {
+pub(super) fn policy() -> impl TypedValueParser<Value = Policy> {
     choice(Policy::ALL, Policy::name, Policy::text)
 }
 
@@ -45,7 +45,7 @@ pub enum PredictorChoice {
     Network(String),
 }
 
-pub(in crate::shell) fn predictor(text: &str) -> Result<PredictorChoice, String> {
+pub(super) fn predictor(text: &str) -> Result<PredictorChoice, String> {
     if let Some(kind) = PredictorKind::from_name(text) {
         return Ok(PredictorChoice::Kind(kind));
     }
@@ -56,7 +56,7 @@ pub(in crate::shell) fn predictor(text: &str) -> Result<PredictorChoice, String>
 }
 
 /// A range of seeds, its upper end left out.
-pub(in crate::shell) fn seeds(text: &str) -> Result<[u64; 2], String> {
+pub(super) fn seeds(text: &str) -> Result<[u64; 2], String> {
     let ends = text.split_once("..").and_then(|(a, b)| Some([a.parse().ok()?, b.parse().ok()?]));
     match ends {
         Some([from, end]) if from < end => Ok([from, end]),
@@ -65,7 +65,7 @@ pub(in crate::shell) fn seeds(text: &str) -> Result<[u64; 2], String> {
 }
 
 /// A number from 0 to 1.
-pub(in crate::shell) fn share(text: &str) -> Result<f64, String> {
+pub(super) fn share(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|v| (0.0..=1.0).contains(v));
     number.ok_or_else(|| "wanted is a number from 0 to 1".into())
 }
@@ -79,30 +79,30 @@ fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     parsed?.try_into().ok()
 }
 
-pub(in crate::shell) fn pose(text: &str) -> Result<Pose, String> {
+pub(super) fn pose(text: &str) -> Result<Pose, String> {
     let [x, y, degrees] = numbers(text).ok_or(
         "wanted are three numbers X,Y,DEG: metres, metres and degrees, as in 1.25,1.25,90",
     )?;
     Ok(Pose::new(x, y, crate::frames::wrap_angle(degrees.to_radians())))
 }
 
-pub(in crate::shell) fn point(text: &str) -> Result<Point, String> {
+pub(super) fn point(text: &str) -> Result<Point, String> {
     let [x, y] =
         numbers(text).ok_or("wanted are two numbers X,Y: metres and metres, as in 23.75,23.75")?;
     Ok(Point::new(x, y))
 }
 
-pub(in crate::shell) fn positive(text: &str) -> Result<f64, String> {
+pub(super) fn positive(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
     value.ok_or_else(|| "wanted is a number above zero".to_owned())
 }
 
-pub(in crate::shell) fn not_negative(text: &str) -> Result<f64, String> {
+pub(super) fn not_negative(text: &str) -> Result<f64, String> {
     let value = text.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0);
     value.ok_or_else(|| "wanted is a number of seconds, zero or more".to_owned())
 }
 
-pub(in crate::shell) fn latency(text: &str) -> Result<Latency, String> {
+pub(super) fn latency(text: &str) -> Result<Latency, String> {
     if text == "measured" {
         return Ok(Latency::Measured);
     }
