@@ -17,6 +17,10 @@ const LATE_ONE_IN: usize = 5;
 const LAST_FACTOR: f64 = 1.25;
 /// Granted beyond what steps took, seconds.
 const MARGIN_S: f64 = 1e-3;
+/// Granted at most where the last step took longer than it was to, seconds. Were it not more, a computer or
+/// a place that makes all steps slow would have every plan lost, and the car stand. A plan that old is
+/// still worth driving: two scans.
+const SLOW_S: f64 = 0.1;
 
 /// Remembers how long planning took.
 #[derive(Debug, Default)]
@@ -34,8 +38,13 @@ impl Grant {
         self.took_s.push_back(took_s.max(0.0));
     }
 
-    /// What the next step is granted, at most `most_s`; seconds.
+    /// What the next step is granted, at most `most_s` unless the last one took longer; seconds.
     pub fn granted_s(&mut self, most_s: f64) -> f64 {
+        let took_s = self.took_s.back().copied().unwrap_or(0.0);
+        let last_s = LAST_FACTOR * took_s + MARGIN_S;
+        if took_s > most_s + MARGIN_S {
+            return last_s.min(SLOW_S).max(most_s);
+        }
         if self.took_s.len() < STEPS_MIN {
             return most_s;
         }
@@ -43,8 +52,7 @@ impl Grant {
         self.sorted.extend(&self.took_s);
         let rank = self.sorted.len() - 1 - self.sorted.len() / LATE_ONE_IN;
         let (_, most_took_s, _) = self.sorted.select_nth_unstable_by(rank, f64::total_cmp);
-        let last_s = self.took_s.back().map_or(0.0, |last_s| LAST_FACTOR * last_s);
-        most_s.min(most_took_s.max(last_s) + MARGIN_S)
+        most_s.min(last_s.max(*most_took_s + MARGIN_S))
     }
 }
 
@@ -78,7 +86,23 @@ mod tests {
         for (slow, took_s) in [(0, 0.004), (20, 0.004), (21, 0.012), (99, 0.012)] {
             assert_eq!(mixed(slow).granted_s(0.02), took_s + MARGIN_S, "{slow}");
         }
-        assert_eq!(grant([0.5; 200]).granted_s(0.02), 0.02, "never more than the most");
+        let mut slower = mixed(99);
+        assert_eq!(slower.granted_s(0.01), 0.01, "never more than the most");
+    }
+
+    #[test]
+    fn while_steps_take_longer_than_the_most_they_are_waited_for() {
+        assert_eq!(
+            grant([0.03]).granted_s(0.02),
+            LAST_FACTOR * 0.03 + MARGIN_S,
+            "from the first on"
+        );
+        assert_eq!(grant([0.03; 200]).granted_s(0.02), LAST_FACTOR * 0.03 + MARGIN_S);
+        assert_eq!(grant([0.5; 200]).granted_s(0.02), SLOW_S);
+        assert_eq!(grant([0.5; 200]).granted_s(0.2), 0.2, "whoever grants more gets that");
+        let mut once = grant([0.5; 200]);
+        once.note(0.0205);
+        assert_eq!(once.granted_s(0.02), 0.02, "until one is quick enough");
     }
 
     #[test]
@@ -86,7 +110,7 @@ mod tests {
         let mut grant = mixed(0);
         grant.note(0.008);
         assert_eq!(grant.granted_s(0.02), LAST_FACTOR * 0.008 + MARGIN_S);
-        grant.note(0.5);
+        grant.note(0.018);
         assert_eq!(grant.granted_s(0.02), 0.02, "but never more than the most");
         grant.note(0.001);
         assert_eq!(grant.granted_s(0.02), 0.004 + MARGIN_S);

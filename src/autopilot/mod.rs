@@ -57,7 +57,8 @@ tunables! {
         /// Radius of the disc around a goal within which the car must come to rest.
         goal_radius_m: f64 = 0.5, at_rest, in 0.05..=10.0, "m";
         /// Most time granted to a planning step: the new plan takes over at the first control tick
-        /// after it. Where four in five of the last steps took less, less is granted.
+        /// after it. Where four in five of the last steps took less, less is granted; where the last one
+        /// took longer, as long as that and a quarter, up to 0.1 s.
         plan_budget_s: f64 = 0.015, at_rest, in 0.001..=1.0, "s";
         /// Least time between two planning requests; 0 asks for a plan after every scan.
         plan_period_s: f64 = 0.0, at_rest, in 0.0..=10.0, "s";
