@@ -176,6 +176,7 @@ def installs(out):
     check(count == 1, f"{count} places for the interface in {CONFIG}")
     CONFIG.write_text(text)
     # The bus must be there before the car is.
+    run("systemctl", "mask", "apexd-can@can0.service")
     run("systemctl", "start", f"apexd-can@{CAN}.service")
 
 
