@@ -209,7 +209,7 @@ fn random_payloads_in_valid_frames_break_nothing() {
     let ids: Vec<u32> =
         (0..20_000).filter(|id| MavMessage::default_message_from_id(*id).is_some()).collect();
     let mut parser = Parser::new();
-    for i in 0..20_000 {
+    for i in 0..1_000_000 {
         let id = ids[i % ids.len()];
         let payload = (0..random.random_range(0..=255)).map(|_| random.random()).collect();
         let frame = encode(header(i as u8), &Body::Raw(RawBody { id, payload }), None);
