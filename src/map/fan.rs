@@ -23,6 +23,9 @@ use crate::scan::Scan;
 
 /// Gaps wider than this prove nothing: a handful of beams is not a fan.
 const GAP_MAX_RAD: f64 = 0.5;
+/// By how many steps rounding of the step may displace the last beam of a turn. Thousands of beams
+/// with a step given to 1e-9 rad stay below 0.002.
+const ROUNDING_BEAMS: f64 = 0.01;
 
 /// What a scan must satisfy to prove space free.
 #[derive(Clone, Copy, Debug)]
@@ -102,8 +105,10 @@ impl Fan {
     pub fn set(&mut self, pose: &Pose, scan: &Scan, limits: &Limits) {
         let step = scan.angle_step_rad.abs();
         let count = scan.ranges_m.len();
-        // Beams past a whole turn repeat the first ones.
-        let turn = (TAU / step - 1e-6).ceil();
+        // Beams past a whole turn repeat the first ones. The step came over the bus, rounded: a turn
+        // that seems to miss the first beam by a hair is a whole one all the same, and the gap
+        // that closes it has its own width.
+        let turn = (TAU / step - ROUNDING_BEAMS).ceil();
         self.full = count as f64 + 0.5 >= turn;
         let n = if self.full { count.min(turn as usize) } else { count };
         self.lay_out(scan, n);
