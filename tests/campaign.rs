@@ -8,6 +8,7 @@
 //! 4 m/s and 20 at 8 m/s, and prints the table of `docs/experiments.md`; `APEXD_CAMPAIGN=N` drives N
 //! at 4 m/s and N/5 at 8 m/s.
 
+use apexd::frames::{Point, Pose};
 use apexd::params::Params;
 use apexd::plan::Policy;
 use apexd::predict::PredictorKind;
@@ -32,13 +33,18 @@ struct Driven {
     summary: Summary,
 }
 
-fn drive(case: Case) -> Driven {
-    let maze = generate(case.family, case.seed, 0.1).expect("0.1 m divides the hallway");
+fn params(case: &Case) -> Params {
     let mut params = Params::default();
     params.plan.policy = case.policy;
     params.predict.kind = case.predictor;
     params.speed.speed_max_mps = case.speed_max_mps;
     params.lidar.rate_hz = if case.speed_max_mps > 6.0 { 40.0 } else { 20.0 };
+    params
+}
+
+fn drive(case: Case) -> Driven {
+    let maze = generate(case.family, case.seed, 0.1).expect("0.1 m divides the hallway");
+    let params = params(&case);
     let mut rig = Rig::new(RigSetup {
         seed: case.seed,
         ..RigSetup::new(&params, maze.world, maze.start, Some(maze.goal))
@@ -46,6 +52,37 @@ fn drive(case: Case) -> Driven {
     .expect("start and goal of a maze are free");
     rig.drive(|_| {});
     Driven { case, summary: rig.summary(0.0) }
+}
+
+/// Random drives that once did not arrive; start as x, y, degrees.
+#[test]
+fn the_car_arrives_from_where_it_once_did_not() {
+    let arrives = |case: Case, start: [f64; 3], goal: [f64; 2], edit: fn(&mut Params)| {
+        let maze = generate(case.family, case.seed, 0.1).unwrap();
+        let mut params = params(&case);
+        edit(&mut params);
+        let start = Pose::new(start[0], start[1], start[2].to_radians());
+        let goal = Some(Point::new(goal[0], goal[1]));
+        let setup = RigSetup::new(&params, maze.world, start, goal);
+        let mut rig = Rig::new(RigSetup { seed: 1, ..setup }).unwrap();
+        rig.drive(|_| {});
+        let summary = rig.summary(0.0);
+        assert_eq!(summary.outcome, Outcome::Goal, "{case:?}");
+        assert_eq!((summary.collisions, summary.unknown_entries), (0, 0), "{case:?}");
+    };
+    let case = |family, seed, predictor, speed_max_mps| Case {
+        family,
+        seed,
+        policy: Policy::MapPredictive,
+        predictor,
+        speed_max_mps,
+    };
+    // Askew in a hallway: where a full turn of beams closes lies right behind the car.
+    let askew = case(Family::Solid, 1_743_449, PredictorKind::None, 6.0);
+    arrives(askew, [9.75, 1.83, 166.0], [11.58, 24.0], |params| params.lidar.rate_hz = 40.0);
+    // Two ways, and whichever the car approaches is foreseen to be blocked.
+    let torn = case(Family::Thin, 1_136_057, PredictorKind::Inverted, 6.0);
+    arrives(torn, [18.75, 2.94, 142.0], [6.08, 9.47], |params| params.lidar.rate_hz = 10.0);
 }
 
 /// Number of mazes a family at 4 m/s, and at 8 m/s.

@@ -198,6 +198,9 @@ fn random_drives_touch_nothing_and_enter_nothing_unseen() {
     println!("{}", tables.iter().map(|t| t.markdown()).collect::<Vec<_>>().join("\n"));
     assert!(tally.is_safe(), "{tally:?}");
     assert!(4 * tally.goal >= 3 * tally.solvable, "hardly anybody arrives: {tally:?}");
+    let predictive = records.iter().filter(|r| r.task.spec.policy == "map-predictive");
+    let tally = Tally::of(predictive);
+    assert!(tally.runs > 5 && tally.goal == tally.solvable, "not all arrive: {tally:?}");
 }
 
 #[test]

@@ -33,6 +33,7 @@ mod lap;
 mod params;
 mod shape;
 mod turning;
+mod wandering;
 mod ways;
 
 use exits::Aim;
@@ -42,6 +43,7 @@ use janson::Weigher;
 use lap::Lap;
 pub use params::{PlanParams, PlannerParams, Policy, Reading, StopRule};
 use shape::{Bends, Candidate};
+use wandering::Wandering;
 use ways::{Way, leaves_heading};
 
 /// Reads the wall clock, for statistics only; a constant makes the planner a pure function.
@@ -77,6 +79,7 @@ pub struct Planner {
     weigher: Weigher,
     impasses: Impasses,
     tracks: turning::Tracks,
+    wandering: Wandering,
     guide: GuideSearch,
     manoeuvre: ManoeuvreSearch,
     frontiers: FrontierFinder,
@@ -128,6 +131,7 @@ impl Planner {
             weigher: Weigher::default(),
             impasses: Impasses::default(),
             tracks: turning::Tracks::default(),
+            wandering: Wandering::default(),
             guide: GuideSearch::new(),
             manoeuvre: ManoeuvreSearch::new(),
             frontiers: FrontierFinder::default(),
@@ -193,7 +197,11 @@ impl Planner {
             goal: request.goal.position,
             changed: scene_changed,
         };
-        self.predictor.observe(&scene, &self.clock);
+        if self.wandering.look(request.goal.position, &seen.grid, self.tracks.driven_m()) {
+            self.predictor.pass_over(&scene);
+        } else {
+            self.predictor.observe(&scene, &self.clock);
+        }
 
         let branches = self.branches(request);
         let here = branches[0];
@@ -210,6 +218,7 @@ impl Planner {
             Err(GuideFailure::Unreachable) => return Verdict::Unreachable,
             Err(GuideFailure::Nothing) => return Verdict::Rejected(Rejection::NothingToGain),
         };
+        self.wandering.follow(&guide);
         let verdict = self.along_guide(request, branches, &guide, times, candidates);
         match &verdict {
             Verdict::Rejected(_) if here.speed_mps <= 0.0 => {

@@ -21,6 +21,8 @@ pub struct PredictReport {
     pub fault: Option<PredictFault>,
     /// Nothing was asked of the predictor, because of faults before.
     pub resting: bool,
+    /// Nothing was asked of the predictor, because the planner did without it.
+    pub passed_over: bool,
     /// What was worked through.
     pub effort: Effort,
     /// Wall time of it, by the clock that the caller injects.
@@ -80,6 +82,12 @@ impl Supervised {
         self.look(clock().saturating_sub(before));
     }
 
+    /// Begins a step in which the predictor is not asked.
+    pub fn pass_over(&mut self, scene: &Scene<'_>) {
+        self.missed = self.missed.union(&scene.changed);
+        self.step = PredictReport { passed_over: true, ..PredictReport::default() };
+    }
+
     /// The view of the unknown in this step.
     pub fn view<'a>(&'a mut self, clock: &'a dyn Fn() -> Duration) -> SupervisedView<'a> {
         SupervisedView { supervised: self, clock }
@@ -92,7 +100,8 @@ impl Supervised {
 
     /// What this step's prediction has come to so far.
     pub fn report(&self) -> PredictReport {
-        let effort = if self.step.resting { Effort::default() } else { self.predictor.effort() };
+        let idle = self.step.resting || self.step.passed_over;
+        let effort = if idle { Effort::default() } else { self.predictor.effort() };
         PredictReport { effort, ..self.step.clone() }
     }
 
@@ -119,7 +128,7 @@ impl Supervised {
     }
 
     const fn is_silent(&self) -> bool {
-        self.step.resting || self.step.fault.is_some()
+        self.step.resting || self.step.passed_over || self.step.fault.is_some()
     }
 }
 
@@ -154,7 +163,7 @@ impl OccupancyView for SupervisedView<'_> {
     }
 
     fn is_ever_certain(&self) -> bool {
-        self.supervised.predictor.is_ever_certain()
+        !self.supervised.is_silent() && self.supervised.predictor.is_ever_certain()
     }
 }
 

@@ -250,3 +250,26 @@ fn the_clock_is_read_only_around_the_predictors_work() {
     bench.supervised.view(&clock).occupied(&[Point::origin()], &mut [0.0]);
     assert_eq!(reads.get(), 4);
 }
+
+#[test]
+fn a_step_without_the_predictor_is_no_fault_and_misses_nothing() {
+    let mut bench = Bench::new();
+    let scene = |changed| Scene {
+        grid: &bench.grid,
+        pose: Pose::new(0.0, 0.0, 0.0),
+        goal: Point::new(1.0, 0.0),
+        changed,
+    };
+    let missed = CellRect { x0: 0, y0: 0, x1: 2, y1: 2 };
+    bench.supervised.pass_over(&scene(missed));
+    let mut answer = [f32::NAN];
+    bench.supervised.view(&|| Duration::ZERO).occupied(&[Point::origin()], &mut answer);
+    let report = bench.supervised.report();
+    assert_eq!((answer, report.fault, report.resting), ([SILENT], None, false));
+    assert!(bench.puppet.0.seen.lock().unwrap().is_empty());
+
+    let (answers, _) = bench.step_with(CellRect { x0: 5, y0: 0, x1: 6, y1: 1 });
+    assert_eq!(answers, [0.25; 2]);
+    let seen = bench.puppet.0.seen.lock().unwrap();
+    assert_eq!(*seen, [CellRect { x0: 0, y0: 0, x1: 6, y1: 2 }]);
+}

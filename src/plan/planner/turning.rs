@@ -48,6 +48,7 @@ const STOP_STEP_M: f64 = 0.1;
 pub(super) struct Tracks {
     poses: Vec<Pose>,
     until: Instant,
+    driven_m: f64,
 }
 
 impl Tracks {
@@ -57,6 +58,7 @@ impl Tracks {
         let from_m = committed.at(self.until).path.s_m;
         let here = committed.at(request.takes_over).path;
         self.until = request.takes_over;
+        self.driven_m += (here.s_m - from_m).max(0.0);
         let driven = committed.points.iter().map(|p| p.path);
         let driven = driven.filter(|p| p.s_m > from_m && p.s_m < here.s_m);
         for p in driven.chain(std::iter::once(here)) {
@@ -72,6 +74,11 @@ impl Tracks {
         if self.poses.len() > 2 * kept {
             self.poses.drain(..self.poses.len() - kept);
         }
+    }
+
+    /// Metres driven since the planner began.
+    pub(super) const fn driven_m(&self) -> f64 {
+        self.driven_m
     }
 
     /// Poses behind a point of a path that the tracks lead to, the nearest first: the point itself,
