@@ -208,7 +208,8 @@ impl Circle {
             let top = self.radius / (k1 * w1.sqrt());
             let both_circles = d * self.radius * k0 / (k1 - k0).hypot(k1d * k0);
             let brakes = (self.squared - self.brake * self.brake).max(0.0).sqrt() / k1;
-            c = both_circles.max(brakes).clamp(top, next);
+            // By rounding `top` may be above `next`.
+            c = both_circles.max(brakes).max(top).min(next);
         }
         let end = c + d * self.brake.min(self.along(c, k1));
         end.min(self.reach(c, k0, d, 1.0))

@@ -243,6 +243,22 @@ fn a_backward_step_finds_the_largest_speed_that_brute_force_finds() {
     }
 }
 
+#[test]
+fn a_backward_step_from_where_the_tyres_just_bind_is_no_accident() {
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    let circle = Circle::new(8.0, &limits(20.0));
+    for _ in 0..20_000 {
+        let k1: f64 = rng.random_range(0.1..2.0);
+        let k0 = k1 * rng.random_range(0.0..1.0);
+        let d: f64 = rng.random_range(0.002..0.2);
+        let top = 8.0 / (k1 * (1.0 + (k1 * d) * (k1 * d)).sqrt());
+        for next in [top.next_down().next_down(), top.next_down(), top, top.next_up()] {
+            let own = circle.before(next, k0, k1, d);
+            assert!(own >= next && own <= next + 8.0 * d, "{own}: {k0} {k1} {d} {next}");
+        }
+    }
+}
+
 /// A random profile that is feasible by construction: walks back from rest, each step a random
 /// feasible one; where there is none, everything behind is scaled down (the feasible set is convex
 /// and holds standstill).
