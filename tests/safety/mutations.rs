@@ -10,8 +10,8 @@ use apexd::frames::{Point, Pose, heading_vector, wrap_angle};
 use apexd::map::{Cell, CellIndex, CellRect, Grid};
 use apexd::plan::certify::{Limits as CertifyLimits, Violation, certify};
 use apexd::plan::{
-    PathPoint, Plan, PlanRequest, Planner, PlannerParams, Planning, StepReport, Trajectory,
-    TrajectoryPoint, Verdict,
+    PathPoint, Plan, PlanRequest, Planner, PlannerParams, Planning, StepReport, StopRule,
+    Trajectory, TrajectoryPoint, Verdict,
 };
 use apexd::predict::NoPrediction;
 use apexd::sim::faults::Harm;
@@ -115,6 +115,17 @@ fn all_known(mut request: PlanRequest) -> PlanRequest {
     request.changed = grid.bounds();
     request.grid = Arc::new(grid);
     request
+}
+
+#[test]
+fn stopping_where_the_car_cannot_turn_off_is_found() {
+    // The unknown is taken for room to turn in.
+    let trial = Trial::maze(Family::Thin, 23).for_s(12.0);
+    let mut params = trial.planner_params();
+    params.plan.stop_rule = StopRule::Optimistic;
+    let clock = Box::new(|| Duration::ZERO);
+    let planner = Planner::new(params, Box::new(NoPrediction), clock);
+    assert_killed(&trial, "P14", planner, same_question, same_answer);
 }
 
 #[test]

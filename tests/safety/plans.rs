@@ -2,11 +2,11 @@
 
 use std::f64::consts::PI;
 
-use apexd::frames::wrap_angle;
+use apexd::frames::{Pose, wrap_angle};
 use apexd::plan::{Plan, PlanRequest, Trajectory};
 
 use super::findings::Findings;
-use super::geometry::{least_clearance_m, peak_acceleration_mps2, stop_profile};
+use super::geometry::{least_clearance_m, peak_acceleration_mps2, stop_profile, to_blocked_m};
 
 /// What the car can do and must keep to.
 #[derive(Clone, Copy, Debug)]
@@ -46,6 +46,13 @@ pub fn inspect(request: &PlanRequest, plan: &Plan, limits: &Limits) -> Findings 
     findings.check(last.speed_mps == 0.0, "P5", || {
         format!("plan {number} ends at {} m/s", last.speed_mps)
     });
+    let in_goal = (last.path.position - request.goal.position).norm() <= request.goal.radius_m;
+    // A car that stands may be out of better ways (`plan::impasse`).
+    let stands = trajectory.points[0].speed_mps == 0.0;
+    findings.check(in_goal || stands || escapes(request, plan, limits), "P14", || {
+        let at = last.path.position;
+        format!("plan {number} stops at ({:.2}, {:.2}) m, no way out of there", at.x, at.y)
+    });
     let executed = |p| trajectory.points.iter().any(|q| q.path.position == p);
     // The first point beyond may be the one at which the executed part ends.
     let beyond = plan.beyond.points.iter().skip(1).map(|p| p.position);
@@ -53,6 +60,21 @@ pub fn inspect(request: &PlanRequest, plan: &Plan, limits: &Limits) -> Findings 
         format!("plan {number} executes a part of what it only imagines")
     });
     findings
+}
+
+/// P14: from where the plan stops, a turn of a quarter circle to one side is clear.
+fn escapes(request: &PlanRequest, plan: &Plan, limits: &Limits) -> bool {
+    const STEPS: u32 = 40;
+    let stop = plan.trajectory.last().path;
+    let pose = Pose { position: stop.position, heading_rad: stop.heading_rad };
+    [1.0, -1.0].into_iter().any(|side| {
+        (0..=STEPS).all(|i| {
+            let turn_rad = 0.5 * PI * f64::from(i) / f64::from(STEPS);
+            let along_m = turn_rad / limits.curvature_max_pm;
+            let centre = pose.along_arc(along_m, side * turn_rad).position;
+            to_blocked_m(&request.grid, centre, limits.certified_m) >= limits.certified_m - 1e-4
+        })
+    })
 }
 
 /// P1.
