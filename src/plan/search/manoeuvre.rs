@@ -10,7 +10,7 @@ use std::collections::BinaryHeap;
 use super::buckets::Buckets;
 use super::dubins::{self, Dubins};
 use super::window::{DIAGONAL, STRAIGHT};
-use super::{Guide, cell_at};
+use super::{Guide, cell_at, coarse_first};
 use crate::frames::{Point, Pose, Vector};
 use crate::map::CellRect;
 use crate::plan::{Path, PathPoint};
@@ -253,7 +253,7 @@ impl<R: Room> Ground<'_, R> {
 
     /// Where an arc ends, if the disc fits all along it.
     fn drive(&self, from: Pose, curvature_pm: f64, length_m: f64) -> Option<Pose> {
-        let pieces = (length_m / SAMPLE_M - 1e-9).ceil().max(1.0);
+        let pieces = parts_of(length_m);
         let mut pose = from;
         for i in 1..=pieces as u32 {
             let s = length_m * f64::from(i) / pieces;
@@ -265,14 +265,33 @@ impl<R: Room> Ground<'_, R> {
         Some(pose)
     }
 
+    /// Whether the disc fits all along a way. Where it is blocked is met soonest by looking at a few
+    /// places all over it first: most ways that are tried are blocked.
     fn drive_all(&self, from: Pose, way: &Dubins) -> bool {
-        let mut pose = from;
-        way.pieces.iter().filter(|(_, length)| *length > 1e-9).all(|(curvature, length)| {
-            let end = self.drive(pose, *curvature, *length);
-            pose = end.unwrap_or(pose);
-            end.is_some()
+        let mut begin = from;
+        let pieces = way.pieces.map(|(curvature_pm, length_m)| {
+            let parts = if length_m > 1e-9 { parts_of(length_m) } else { 0.0 };
+            let piece = (begin, curvature_pm, length_m, parts);
+            if parts > 0.0 {
+                begin = begin.along_arc(length_m, curvature_pm * length_m);
+            }
+            piece
+        });
+        coarse_first(|first, stride| {
+            pieces.iter().all(|(begin, curvature_pm, length_m, parts)| {
+                let mut samples = (first + 1..=*parts as usize).step_by(stride);
+                samples.all(|i| {
+                    let s = length_m * i as f64 / parts;
+                    self.open(begin.along_arc(s, curvature_pm * s).position)
+                })
+            })
         })
     }
+}
+
+/// In how many parts an arc is looked at.
+fn parts_of(length_m: f64) -> f64 {
+    (length_m / SAMPLE_M - 1e-9).ceil().max(1.0)
 }
 
 /// A way onto the guide.
@@ -623,7 +642,7 @@ impl ManoeuvreSearch {
         let (mut pose, mut s) = (self.states[id as usize].pose, 0.0);
         let mut last_curvature = 0.0;
         for (curvature_pm, length) in arcs {
-            let pieces = (length / SAMPLE_M - 1e-9).ceil().max(1.0);
+            let pieces = parts_of(length);
             for i in 0..pieces as u32 {
                 let along = length * f64::from(i) / pieces;
                 points.push(sample(

@@ -101,6 +101,15 @@ pub struct Guide {
     pub asked: usize,
 }
 
+/// Asks whether something holds for every index from `first` on in steps of `stride`, in rounds that
+/// together ask for each index once: every sixteenth first, then the ones halfway in between, and so
+/// on. What fails somewhere fails early.
+fn coarse_first(mut holds: impl FnMut(usize, usize) -> bool) -> bool {
+    const COARSEST: usize = 16;
+    let halves = [8, 4, 2, 1].map(|half| (half, 2 * half));
+    std::iter::once((0, COARSEST)).chain(halves).all(|(first, stride)| holds(first, stride))
+}
+
 /// The cell that holds a point.
 fn cell_at(p: Point, resolution_m: f64) -> CellIndex {
     CellIndex::new(floor_to_index(p.x / resolution_m), floor_to_index(p.y / resolution_m))

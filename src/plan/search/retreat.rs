@@ -4,13 +4,15 @@
 //! known to have room, and bends that it drove one way it can drive the other. A half turn alone
 //! promises less: in a nook it may end facing the next wall.
 
-use super::Room;
 use super::dubins::{Dubins, candidates};
+use super::{Room, coarse_first};
 use crate::frames::{Pose, wrap_angle};
 use crate::plan::{Path, PathPoint};
 
 /// Distance between two looks at the room, and between two samples of the result, metres.
 const SAMPLE_M: f64 = 0.03;
+/// Shorter pieces are none, metres.
+const LEAST_M: f64 = 1e-6;
 
 /// A drivable way from `from` onto the way that the car came by, in the opposite direction: up to
 /// three arcs and straights to one of the poses in `behind` (as they were driven, the nearest ones
@@ -22,9 +24,32 @@ pub fn retreat<R: Room>(room: &R, from: Pose, behind: &[Pose], radius_m: f64) ->
         let to = Pose { heading_rad, ..*pose };
         let mut ways: Vec<Dubins> = candidates(from, to, radius_m).into_iter().flatten().collect();
         ways.sort_by(|a, b| a.length_m.total_cmp(&b.length_m));
-        let way = ways.iter().find(|way| samples(from, way).all(|p| room.fits(p.position)))?;
+        let way = ways.iter().find(|way| fits_along(room, from, way))?;
         Some(Path { points: samples(from, way).collect() })
     })
+}
+
+/// Whether the disc fits at all samples of a way.
+fn fits_along<R: Room>(room: &R, from: Pose, way: &Dubins) -> bool {
+    let mut end = from;
+    let pieces = way.pieces.map(|(curvature_pm, length_m)| {
+        let counts = length_m > LEAST_M;
+        let steps = if counts { (length_m / SAMPLE_M).ceil() as usize } else { 0 };
+        let piece = (end, curvature_pm, length_m, steps);
+        if counts {
+            end = end.along_arc(length_m, curvature_pm * length_m);
+        }
+        piece
+    });
+    room.fits(end.position)
+        && coarse_first(|first, stride| {
+            pieces.iter().all(|(begin, curvature_pm, length_m, steps)| {
+                (first..*steps).step_by(stride).all(|i| {
+                    let along = length_m * i as f64 / *steps as f64;
+                    room.fits(begin.along_arc(along, curvature_pm * along).position)
+                })
+            })
+        })
 }
 
 /// The samples of a way; each carries the curvature of the piece that follows it, the last that of
@@ -34,7 +59,7 @@ fn samples(from: Pose, way: &Dubins) -> impl Iterator<Item = PathPoint> {
         let Pose { position, heading_rad } = pose;
         PathPoint { s_m, position, heading_rad, curvature_pm }
     };
-    let pieces = way.pieces.into_iter().filter(|(_, length_m)| *length_m > 1e-6);
+    let pieces = way.pieces.into_iter().filter(|(_, length_m)| *length_m > LEAST_M);
     let (mut end, mut length, mut last_pm) = (from, 0.0, 0.0);
     for (curvature_pm, length_m) in pieces.clone() {
         end = end.along_arc(length_m, curvature_pm * length_m);
