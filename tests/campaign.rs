@@ -8,9 +8,6 @@
 //! 4 m/s and 20 at 8 m/s, and prints the table of `docs/experiments.md`; `APEXD_CAMPAIGN=N` drives N
 //! at 4 m/s and N/5 at 8 m/s.
 
-use std::cmp::Reverse;
-use std::collections::{BinaryHeap, HashMap};
-
 use apexd::frames::{Point, Pose};
 use apexd::params::Params;
 use apexd::plan::Policy;
@@ -18,7 +15,6 @@ use apexd::predict::PredictorKind;
 use apexd::sim::drive::{Outcome, Summary};
 use apexd::sim::maze::{Family, Maze, generate};
 use apexd::sim::rig::{Rig, RigSetup};
-use apexd::sim::world::World;
 use apexd::vehicle::VehicleParams;
 use rayon::prelude::*;
 
@@ -48,49 +44,19 @@ fn params(case: &Case) -> Params {
     params
 }
 
-/// Length of the shortest way for the car's centre that stays off walls by its radius, metres, not
-/// above the true one: of ways along rows, columns and diagonals of the grid, which are up to 8 %
-/// longer than straight ones, and between cells rather than points in them.
-fn least_way_m(world: &World, from: Point, to: Point, radius_m: f64) -> f64 {
-    let cell_m = world.resolution_m();
-    let index = |p: Point| ((p.x / cell_m) as i64, (p.y / cell_m) as i64);
-    // A centre anywhere in the cell may be free though the cell's middle is not.
-    let reach_m = radius_m - cell_m;
-    let mut best = HashMap::from([(index(from), 0.0)]);
-    let mut queue = BinaryHeap::from([(Reverse(0u64), index(from))]);
-    while let Some((Reverse(micrometres), (ix, iy))) = queue.pop() {
-        let so_far_m = micrometres as f64 * 1e-6;
-        if (ix, iy) == index(to) {
-            return (so_far_m / 1.0824 - 2.0 * cell_m).max(0.0);
-        }
-        if so_far_m > best[&(ix, iy)] + 1e-5 {
-            continue;
-        }
-        for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
-            let next = (ix + dx, iy + dy);
-            let length_m = so_far_m + cell_m * f64::hypot(dx as f64, dy as f64);
-            let known_m = best.get(&next).copied().unwrap_or(f64::INFINITY);
-            if length_m + 1e-9 < known_m
-                && world.distance_m(world.cell_centre(next.0, next.1), radius_m) >= reach_m
-            {
-                best.insert(next, length_m);
-                queue.push((Reverse((length_m * 1e6) as u64), next));
-            }
-        }
-    }
-    panic!("no way at all");
-}
-
 /// R2 and R4: nobody arrives by a shorter way than the shortest, or sooner than at full speed along
 /// it, with full force from rest and to rest.
 fn is_physical(maze: &Maze, case: &Case, summary: &Summary) -> bool {
     let vehicle = VehicleParams::default();
+    // A disc smaller by half a cell's diagonal finds every way on the raster that the car has;
+    // straight and diagonal steps make it up to 8.3 per cent longer.
+    let radius_m = vehicle.radius_m - 0.071;
+    let raster_m = maze.world.path_length_m(maze.start.position, maze.goal, radius_m);
     let goal_m = params(case).autopilot.goal_radius_m;
-    let least_m =
-        least_way_m(&maze.world, maze.start.position, maze.goal, vehicle.radius_m) - goal_m;
-    let least_s =
-        least_m / case.speed_max_mps + case.speed_max_mps / vehicle.acceleration_limit_mps2();
-    summary.path_m >= least_m && summary.time_s >= least_s
+    let least_m = raster_m.expect("mazes have a way") / 1.083 - goal_m - 0.1;
+    let (v, a) = (case.speed_max_mps, vehicle.acceleration_limit_mps2());
+    assert!(least_m > v * v / a, "too short to reach full speed");
+    summary.path_m >= least_m && summary.time_s >= least_m / v + v / a
 }
 
 fn drive(case: Case) -> Driven {
@@ -104,6 +70,11 @@ fn drive(case: Case) -> Driven {
     rig.drive(|_| {});
     let summary = rig.summary(0.0);
     let physical = summary.outcome != Outcome::Goal || is_physical(&maze, &case, &summary);
+    let short = Summary { path_m: 0.8 * summary.path_m, ..summary.clone() };
+    let sudden = Summary { time_s: 0.6 * summary.time_s, ..summary.clone() };
+    if case.predictor == PredictorKind::Oracle && case.speed_max_mps <= 4.0 {
+        assert!(!is_physical(&maze, &case, &short) && !is_physical(&maze, &case, &sudden));
+    }
     Driven { case, summary, physical }
 }
 
@@ -224,8 +195,9 @@ fn mazes_are_driven_safely_whatever_is_predicted() {
                 if !d.physical {
                     failures.push(format!("too good to be true: {:?}, {:?}", d.case, d.summary));
                 }
-                let must_arrive = policy != Policy::Frontier
-                    && matches!(predictor, PredictorKind::None | PredictorKind::Oracle);
+                let honest = matches!(predictor, PredictorKind::None | PredictorKind::Oracle);
+                let must_arrive =
+                    policy == Policy::MapPredictive || policy != Policy::Frontier && honest;
                 if must_arrive && d.summary.outcome != Outcome::Goal {
                     failures.push(format!("{:?}: {:?}", d.summary.outcome, d.case));
                 }
@@ -236,7 +208,7 @@ fn mazes_are_driven_safely_whatever_is_predicted() {
             }
         }
     }
-    // R3: who foresees the truth is not slower than who foresees nothing.
+    // R3: who foresees the truth is hardly slower than who foresees nothing, whatever these few mazes.
     let time_s = |kind| times_s.iter().find(|(k, _)| *k == kind).expect("was driven").1;
     let (oracle_s, none_s) = (time_s(PredictorKind::Oracle), time_s(PredictorKind::None));
     assert!(oracle_s <= 1.05 * none_s, "{oracle_s} s with the truth, {none_s} s without");

@@ -175,6 +175,14 @@ pub enum Event {
         /// Why.
         fault: PredictFault,
     },
+    /// The prediction has led the car to and fro: planning goes by what is seen until there is
+    /// something new to see.
+    PredictionPassedOver {
+        /// When the first step without it came back.
+        at: Instant,
+        /// Its number.
+        number: u32,
+    },
     /// A plan came too late to take over.
     PlanLate {
         /// Its number.
@@ -219,6 +227,8 @@ pub struct Statistics {
     pub plans_revoked: u64,
     /// Faults of the prediction.
     pub prediction_faults: u64,
+    /// Planning steps that did without the prediction because it had led the car to and fro.
+    pub predictions_passed_over: u64,
     /// Candidate paths of all steps.
     pub candidates: u64,
     /// Times the guard took over.

@@ -140,6 +140,8 @@ pub struct Autopilot {
     inputs: Inputs,
     job: Option<PlanRequest>,
     in_flight: Option<InFlight>,
+    /// Whether the newest planning step did without the prediction by choice.
+    passed_over: bool,
     grant: Grant,
     next_number: u32,
     changed: CellRect,
@@ -216,6 +218,7 @@ impl Autopilot {
             inputs: Inputs::default(),
             job: None,
             in_flight: None,
+            passed_over: false,
             grant: Grant::default(),
             next_number: 1,
             changed: CellRect::EMPTY,
@@ -416,6 +419,14 @@ impl Autopilot {
         self.statistics.candidates += u64::from(report.candidates);
         let prediction = report.prediction;
         self.health.note_prediction(prediction.fault.is_some() || prediction.resting);
+        if prediction.passed_over {
+            self.statistics.predictions_passed_over += 1;
+            if !self.passed_over {
+                let number = report.number;
+                self.events.push_back(Event::PredictionPassedOver { at: now, number });
+            }
+        }
+        self.passed_over = prediction.passed_over;
         if let Some(fault) = prediction.fault {
             self.statistics.prediction_faults += 1;
             self.events.push_back(Event::PredictionFault { at: now, number: report.number, fault });

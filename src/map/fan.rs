@@ -181,8 +181,11 @@ impl Fan {
     pub fn glance(&self, x: f32, y: f32, half_diagonal_m: f32) -> Option<bool> {
         let at = self.beam_coordinate(x, y);
         let distance2 = x * x + y * y;
-        // A partial fan has no gap behind its last beam.
-        if self.reach2.get(at as usize).is_none_or(|reach2| distance2 > *reach2) {
+        // A partial fan has no gap behind its last beam. In a full one a direction may come to lie
+        // there by a hair.
+        let last = self.reach2.len().wrapping_sub(1);
+        let gap = if self.full { (at as usize).min(last) } else { at as usize };
+        if self.reach2.get(gap).is_none_or(|reach2| distance2 > *reach2) {
             return Some(false);
         }
         let distance = distance2.sqrt();

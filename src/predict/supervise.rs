@@ -62,6 +62,22 @@ impl Supervised {
 
     /// Begins a step.
     pub fn observe(&mut self, scene: &Scene<'_>, clock: &dyn Fn() -> Duration) {
+        if self.begin(scene) {
+            let changed = std::mem::replace(&mut self.missed, CellRect::EMPTY);
+            let before = clock();
+            self.predictor.observe(&Scene { changed, ..*scene });
+            self.look(clock().saturating_sub(before));
+        }
+    }
+
+    /// Begins a step in which the predictor is not asked.
+    pub fn pass_over(&mut self, scene: &Scene<'_>) {
+        self.begin(scene);
+        self.step.passed_over = true;
+    }
+
+    /// Keeps the books of faults and rests; says whether the predictor may be asked.
+    fn begin(&mut self, scene: &Scene<'_>) -> bool {
         if !self.is_silent() {
             self.good_steps += 1;
             if self.good_steps >= FORGIVEN_AFTER_STEPS {
@@ -71,21 +87,9 @@ impl Supervised {
         }
         self.step = PredictReport::default();
         self.missed = self.missed.union(&scene.changed);
-        if self.strikes >= STRIKES_MAX || self.resting > 0 {
-            self.resting = self.resting.saturating_sub(1);
-            self.step.resting = true;
-            return;
-        }
-        let changed = std::mem::replace(&mut self.missed, CellRect::EMPTY);
-        let before = clock();
-        self.predictor.observe(&Scene { changed, ..*scene });
-        self.look(clock().saturating_sub(before));
-    }
-
-    /// Begins a step in which the predictor is not asked.
-    pub fn pass_over(&mut self, scene: &Scene<'_>) {
-        self.missed = self.missed.union(&scene.changed);
-        self.step = PredictReport { passed_over: true, ..PredictReport::default() };
+        self.step.resting = self.strikes >= STRIKES_MAX || self.resting > 0;
+        self.resting = self.resting.saturating_sub(1);
+        !self.step.resting
     }
 
     /// The view of the unknown in this step.

@@ -273,3 +273,19 @@ fn a_step_without_the_predictor_is_no_fault_and_misses_nothing() {
     let seen = bench.puppet.0.seen.lock().unwrap();
     assert_eq!(*seen, [CellRect { x0: 0, y0: 0, x1: 6, y1: 2 }]);
 }
+
+#[test]
+fn a_predictor_that_is_off_for_good_stays_so_while_it_is_passed_over() {
+    let mut bench = Bench::new();
+    bench.takes_ms(1000);
+    bench.step();
+    let scene = Scene {
+        grid: &bench.grid,
+        pose: Pose::new(0.0, 0.0, 0.0),
+        goal: Point::new(1.0, 0.0),
+        changed: CellRect::EMPTY,
+    };
+    bench.supervised.pass_over(&scene);
+    let report = bench.supervised.report();
+    assert!(report.resting && report.passed_over);
+}

@@ -120,6 +120,9 @@ fn event_json(event: &Event) -> String {
         Event::PlanRejected { number, rejection } => {
             ("no plan", format!("plan {number}: {rejection:?}"))
         }
+        Event::PredictionPassedOver { number, .. } => {
+            ("prediction passed over", format!("plan {number}"))
+        }
         Event::PredictionFault { number, fault, .. } => {
             ("prediction fault", format!("plan {number}: {fault}"))
         }

@@ -202,6 +202,11 @@ pub(super) fn log(event: &Event) {
         Event::PlanRejected { number, rejection } => {
             tracing::debug!(number, ?rejection, "no plan");
         }
+        Event::PredictionPassedOver { at, number } => tracing::info!(
+            t_s = seconds(at),
+            number,
+            "the prediction has led to and fro and is left out until there is something new to see"
+        ),
         Event::PredictionFault { at, number, fault } => {
             tracing::warn!(t_s = seconds(at), number, "no prediction: {fault}");
         }

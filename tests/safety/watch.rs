@@ -144,7 +144,7 @@ impl Watch {
         }
     }
 
-    /// P1 to P12 at a planning step.
+    /// P1 to P14 at a planning step.
     fn look_at_step(&mut self, rig: &Rig, request: &PlanRequest, report: &StepReport) {
         self.look_at_knowledge(rig, request);
         match &report.verdict {
