@@ -70,9 +70,10 @@ fn drive(case: Case) -> Driven {
     rig.drive(|_| {});
     let summary = rig.summary(0.0);
     let physical = summary.outcome != Outcome::Goal || is_physical(&maze, &case, &summary);
-    let short = Summary { path_m: 0.8 * summary.path_m, ..summary.clone() };
-    let sudden = Summary { time_s: 0.6 * summary.time_s, ..summary.clone() };
     if case.predictor == PredictorKind::Oracle && case.speed_max_mps <= 4.0 {
+        // The check can fail.
+        let short = Summary { path_m: 0.8 * summary.path_m, ..summary.clone() };
+        let sudden = Summary { time_s: 0.6 * summary.time_s, ..summary.clone() };
         assert!(!is_physical(&maze, &case, &short) && !is_physical(&maze, &case, &sudden));
     }
     Driven { case, summary, physical }

@@ -227,8 +227,6 @@ pub struct Statistics {
     pub plans_revoked: u64,
     /// Faults of the prediction.
     pub prediction_faults: u64,
-    /// Planning steps that did without the prediction because it had led the car to and fro.
-    pub predictions_passed_over: u64,
     /// Candidate paths of all steps.
     pub candidates: u64,
     /// Times the guard took over.

@@ -419,12 +419,9 @@ impl Autopilot {
         self.statistics.candidates += u64::from(report.candidates);
         let prediction = report.prediction;
         self.health.note_prediction(prediction.fault.is_some() || prediction.resting);
-        if prediction.passed_over {
-            self.statistics.predictions_passed_over += 1;
-            if !self.passed_over {
-                let number = report.number;
-                self.events.push_back(Event::PredictionPassedOver { at: now, number });
-            }
+        if prediction.passed_over && !self.passed_over {
+            let number = report.number;
+            self.events.push_back(Event::PredictionPassedOver { at: now, number });
         }
         self.passed_over = prediction.passed_over;
         if let Some(fault) = prediction.fault {

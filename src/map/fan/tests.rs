@@ -175,13 +175,19 @@ fn a_turn_and_one_beam_is_still_a_full_circle() {
 fn a_turn_of_rounded_steps_closes() {
     for beams in [360, 720, 1080, 2048, 4096] {
         let step = (TAU / f64::from(beams) * 1e9).round() / 1e9;
-        for step in [step, -step, step - 1e-9, step + 1e-9] {
+        let wide_gap = TAU / (f64::from(beams) + 0.009);
+        for step in [step, -step, step - 1e-9, step + 1e-9, wide_gap] {
             let scan = scan(beams as usize, -0.5 * TAU, step, |_| 0.9);
             assert!(scan.is_full_circle());
             let mut fan = Fan::default();
             fan.set(&Pose::new(0.0, 0.0, 0.0), &scan, &limits());
             let (low, high) = square(-0.8, 0.0);
             assert!(fan.full && fan.covers(low, high), "{beams} beams of {step} rad");
+            // Nor does the quick answer deny anything where the turn closes.
+            for i in -200..=200 {
+                let y = i as f32 * 1e-5;
+                assert_ne!(fan.glance(-0.8, y, 0.05), Some(false), "{beams} of {step} rad, {y} m");
+            }
         }
     }
 }

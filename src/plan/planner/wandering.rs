@@ -7,8 +7,9 @@
 //! new, so nothing ever changes. (It did, with the truth turned round for a prediction.)
 //!
 //! The rule: a car that has driven more than twice the longest way that it had to the unknown, and ten
-//! metres, without seeing anything new goes by what it has seen alone. To be heeded again, the prediction waits for news;
-//! each time for more of it. So a drive wastes no more than a few such detours, whatever is predicted.
+//! metres, without seeing anything new goes by what it has seen alone. To be heeded again, the
+//! prediction waits for news; each time for more of it. So a drive wastes no more than a few such
+//! detours, whatever is predicted.
 
 use crate::frames::Point;
 use crate::map::{Cell, Grid};
