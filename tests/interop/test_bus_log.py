@@ -10,6 +10,7 @@ import json
 import math
 import os
 import pathlib
+import sys
 import unittest
 
 import cantools
@@ -17,6 +18,9 @@ import cantools
 from can_dbc import protection
 
 ROOT = pathlib.Path(__file__).parents[2]
+sys.path.append(str(ROOT / "hil"))
+from judge import AFTERMATH_S, CLOCKS_S
+
 HIL = pathlib.Path(os.environ.get("APEXD_HIL", ROOT / "target/hil"))
 
 Frame = collections.namedtuple("Frame", "at_s message signals counter data")
@@ -52,6 +56,22 @@ def read_bus(database, folder):
     return frames, foreign
 
 
+def read_stalls(folder):
+    """When the machine itself stood still, by the clock of the log: (from, to) in seconds, what it
+    brings about afterwards included."""
+    with (folder / "result.json").open() as file:
+        late = json.load(file)["wake_late_ms"] or {"stalls": []}
+    return [
+        (end_s - 1e-3 * late_ms - CLOCKS_S, end_s + AFTERMATH_S)
+        for end_s, late_ms in late["stalls"]
+    ]
+
+
+def stalled_s(stalls, begin_s, end_s):
+    """For how long the machine stood still in an interval, at most."""
+    return sum(max(0.0, min(end_s, to_s) - max(begin_s, from_s)) for from_s, to_s in stalls)
+
+
 def of(frames, name):
     return [frame for frame in frames if frame.message.name == name]
 
@@ -61,7 +81,7 @@ class Drive(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        folders = sorted(HIL.glob("maze-*"))
+        folders = sorted(folder for folder in HIL.glob("maze-*") if ".try-" not in folder.name)
         if not folders:
             raise AssertionError(f"no drives in {HIL}: run hil/run")
         cls.folder = folders[0]
@@ -144,8 +164,11 @@ class Drive(unittest.TestCase):
             self.assertLessEqual(abs(frame.signals["PathCurvature"]), 2.0 + 1e-9)
         driving = [frame for frame in setpoints if frame.signals["Drive"]]
         self.assertGreater(len(driving), 500)
-        gaps = [b.at_s - a.at_s for a, b in zip(driving, driving[1:])]
-        self.assertLess(max(gaps), 0.1, "the car would have stopped")
+        # The scenario's own verdict excuses a machine that stood still, and so does this one.
+        stalls = read_stalls(self.folder)
+        for a, b in zip(driving, driving[1:]):
+            if not stalled_s(stalls, a.at_s, b.at_s):
+                self.assertLess(b.at_s - a.at_s, 0.1, "the car would have stopped")
 
     def test_scans_are_whole_and_none_reaches_into_the_car(self):
         frames = of(self.frames, "LidarScan")
@@ -214,7 +237,8 @@ class Killed(unittest.TestCase):
         status = [frame for frame in of(frames, "CarStatus") if frame.at_s > died_s]
         lost = [frame.at_s for frame in status if frame.signals["SetpointLost"]]
         self.assertTrue(lost, "the car never noticed")
-        self.assertLess(lost[0] - died_s, 0.25)
+        stood_s = stalled_s(read_stalls(folder), died_s, lost[0])
+        self.assertLess(lost[0] - died_s - stood_s, 0.25)
         speeds = [
             (frame.signals["WheelSpeedLeft"] + frame.signals["WheelSpeedRight"]) / 2
             for frame in of(frames, "CarOdometry")
