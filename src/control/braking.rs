@@ -38,7 +38,8 @@ pub fn braking_tail(
     let forward = heading_vector(start.heading_rad);
 
     let stop = trajectory.last().path.s_m;
-    let accel = vehicle.acceleration_limit_mps2() * params.tail_grip_share;
+    let limit = vehicle.acceleration_limit_mps2();
+    let accel = limit * params.tail_grip_share;
     let braked = braked_by(trajectory, s0, accel, params.tail_hold_s);
     let cut_short = braked < stop;
     let length = braked.min(stop) - s0;
@@ -70,9 +71,10 @@ pub fn braking_tail(
             }
         })
         .collect();
-    samples[parts].speed_mps = 0.0;
     if cut_short {
-        limit_backward(&mut samples, spacing, accel);
+        stop_at_last(&mut samples, spacing, accel, limit);
+    } else {
+        samples[parts].speed_mps = 0.0;
     }
     BrakingTail {
         plan,
@@ -120,21 +122,31 @@ fn braked_by(trajectory: &Trajectory, s0_m: f64, accel: f64, hold_s: f64) -> f64
     s + MARGIN_M
 }
 
-/// Lowers the speeds so that each one can be braked down to the next within the friction circle at
-/// both ends of the stretch between them (squared speed linear in distance).
-fn limit_backward(samples: &mut [TailSample], spacing_m: f64, accel: f64) {
+/// Lowers the speeds to a stop at the last sample: each one can be braked down to the next within
+/// the friction circle at both ends of the stretch between them (squared speed linear in distance).
+/// Where the plan itself takes more than `accel`, as much is there for the tail, up to `limit`: a car
+/// on its plan is not too fast for its tail.
+fn stop_at_last(samples: &mut [TailSample], spacing_m: f64, accel: f64, limit: f64) {
     let p = 1.0 / (4.0 * spacing_m * spacing_m);
-    for i in (0..samples.len().saturating_sub(1)).rev() {
-        let c = samples[i + 1].speed_mps.powi(2);
+    let last = samples.len() - 1;
+    let mut planned_ahead = samples[last].speed_mps.powi(2);
+    samples[last].speed_mps = 0.0;
+    for i in (0..last).rev() {
         let (k0, k1) = (samples[i].curvature_pm, samples[i + 1].curvature_pm);
-        let room = (accel * accel - (k1 * c).powi(2)).max(0.0).sqrt();
+        let planned = samples[i].speed_mps.powi(2);
+        let planned_brake = ((planned - planned_ahead) / (2.0 * spacing_m)).max(0.0);
+        let planned_lateral = (k0 * planned).abs().max((k1 * planned_ahead).abs());
+        let grip = planned_brake.hypot(planned_lateral).clamp(accel, limit);
+        planned_ahead = planned;
+
+        let c = samples[i + 1].speed_mps.powi(2);
+        let room = (grip * grip - (k1 * c).powi(2)).max(0.0).sqrt();
         let far_end = c + 2.0 * spacing_m * room;
-        // p (b - c)^2 + k0^2 b^2 = accel^2, the larger root; without one, no braking is left.
+        // p (b - c)^2 + k0^2 b^2 = grip^2, the larger root; without one, no braking is left.
         let q = p + k0 * k0;
-        let discriminant = (p * c).powi(2) - q * (p * c * c - accel * accel);
+        let discriminant = (p * c).powi(2) - q * (p * c * c - grip * grip);
         let near_end = (p * c + discriminant.max(0.0).sqrt()) / q;
-        let b = far_end.min(near_end).max(0.0).min(samples[i].speed_mps.powi(2));
-        samples[i].speed_mps = b.sqrt();
+        samples[i].speed_mps = far_end.min(near_end).clamp(0.0, planned).sqrt();
     }
 }
 

@@ -30,7 +30,8 @@ tunables! {
         stop_tolerance_m: f64 = 0.008, at_rest, in 0.001..=0.1, "m";
         /// Spacing of the braking tail's samples.
         tail_spacing_m: f64 = 0.1, restart, in 0.02..=0.5, "m";
-        /// Share of the tyres' grip with which a braking tail brakes.
+        /// Share of the tyres' grip with which a braking tail brakes; more where the plan itself
+        /// uses more.
         tail_grip_share: f64 = 0.9, at_rest, in 0.2..=1.0, "";
         /// Longest time from making a tail to the car's braking on it: the loss time-out of the
         /// car's controller plus the time between tails.
