@@ -5,7 +5,8 @@
 //! process; whoever loads the first network chooses.
 
 // A native library is opened by its path and asked for its table of functions: nothing but its
-// name says that they are what they should be. No other file of the crate allows this.
+// name says that they are what they should be. And the registers that a runtime leaves behind are
+// cleared by an instruction of the processor. No other file of the crate allows this.
 #![expect(unsafe_code, reason = "a shared library's functions cannot be checked")]
 
 use std::borrow::Cow;
@@ -201,6 +202,20 @@ fn run_by_tract(onnx: &[u8], runs: &[&[Input<'_>]]) -> TractResult<Vec<Outputs>>
     runs.iter().map(run).collect()
 }
 
+/// Tells the processor that the upper parts of its vector registers hold nothing.
+///
+/// tract's kernels for AVX and AVX-512 leave them in use. Whatever the thread does next with the
+/// narrow instructions that this program is compiled to then drags them along: smoothing took 1.6
+/// times as long after a prediction as without one (Zen 4).
+fn clear_upper_registers() {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx") {
+        // SAFETY: the processor has the instruction. No function keeps values in these registers
+        // over a call.
+        unsafe { std::arch::x86_64::_mm256_zeroupper() }
+    }
+}
+
 /// A network (or a part of one) that is ready to run.
 pub(super) struct Program {
     session: Session,
@@ -230,7 +245,9 @@ impl Program {
                 let tensor = TensorRef::from_array_view((input.shape, input.values))?;
                 values.push((input.name.into(), tensor.into()));
             }
-            let outputs = self.session.run(values)?;
+            let outputs = self.session.run(values);
+            clear_upper_registers();
+            let outputs = outputs?;
             for (name, value) in &outputs {
                 let (shape, values) = value.try_extract_tensor::<f32>()?;
                 read(name, shape, values);
