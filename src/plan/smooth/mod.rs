@@ -7,7 +7,9 @@
 //! shape of least bending near the shape of least time; the friction limit enters only near the
 //! start, where the car has a speed that it cannot shed at once.
 
+mod banded;
 mod banded_socp;
+mod cones;
 #[cfg(test)]
 mod corridors;
 mod program;
