@@ -24,7 +24,7 @@ use crate::tunables;
 use crate::vehicle::VehicleParams;
 
 pub use clearance::Surfaces;
-pub use escape::{Arc, EscapeRule, has_escape, last_escapable};
+pub use escape::{Arc, EscapeRule, escapes, has_escape, last_stop, leads_on};
 pub use violation::Violation;
 
 use clearance::{Contact, contact, edge_contact, open_around};

@@ -21,7 +21,8 @@
 //!   place never makes a goal unreachable.
 //!
 //! After [`LASTING`] planning steps in a row without a plan the impasse is *lasting*: whatever is
-//! closed, the car gets on in no direction ahead, and turning round is worth its time.
+//! closed, the car gets on in no direction ahead, and turning round is worth its time; a bold car then
+//! also goes wherever a bold stop may lead.
 
 use crate::frames::Point;
 use crate::map::{CellRect, Grid};
@@ -45,7 +46,7 @@ pub enum Courage {
     Proven,
     /// Also on room for turning back that is not known to be taken.
     Hopeful,
-    /// Also on there being some way ahead.
+    /// Also on there being several ways on, one after the other.
     Bold,
 }
 

@@ -223,7 +223,9 @@ impl Planner {
         match &verdict {
             Verdict::Rejected(_) if here.speed_mps <= 0.0 => {
                 if self.impasses.count_failure() {
-                    if let Some(plan) = self.turn_back(request, &here, &guide, times) {
+                    let turned = self.turn_back(request, &here, &guide, times);
+                    let plan = turned.or_else(|| self.way_on(request, &here, &guide, times));
+                    if let Some(plan) = plan {
                         return Verdict::Plan(Box::new(plan));
                     }
                     self.try_another_way(request, &here, &guide, times);
@@ -374,12 +376,14 @@ impl Planner {
         branches
     }
 
-    /// Whether the committed plan ends in the goal disc soon: nothing is left to gain then.
+    /// Whether the committed plan ends well inside the goal disc soon: nothing is left to gain then.
     fn nearly_there(&self, request: &PlanRequest, here: &Branch) -> bool {
         const SOON_M: f64 = 3.0;
+        const ROUNDING_M: f64 = 1e-6;
         let stop = request.committed.trajectory.last().path;
-        let inside = (stop.position - request.goal.position).norm() <= request.goal.radius_m;
-        inside && stop.s_m - here.s_m < SOON_M
+        // On the rim the car's own errors would decide.
+        let rim_m = (stop.position - request.goal.position).norm() - self.inside_goal_m(request);
+        rim_m <= ROUNDING_M && stop.s_m - here.s_m < SOON_M
     }
 
     /// Seconds to the end of the imagined way, if the car can drive it from its present speed, under

@@ -5,7 +5,7 @@ use std::hint::black_box;
 use apexd::frames::{Point, Pose};
 use apexd::map::{Cell, CellIndex, Grid};
 use apexd::plan::certify::{
-    CertifyParams, EscapeRule, Limits, Surfaces, certify, clear_length_m, last_escapable,
+    CertifyParams, EscapeRule, Limits, Surfaces, certify, clear_length_m, has_escape, last_stop,
 };
 use apexd::plan::speed::{End, SpeedLimits, SpeedParams, SpeedProfiler, SpeedTask};
 use apexd::plan::{PathPoint, Trajectory};
@@ -79,7 +79,7 @@ fn proof(c: &mut Criterion) {
             surfaces: Surfaces::OccupiedAndUnknown,
         };
         c.bench_function(&format!("last escapable stop, cells of {resolution} m"), |b| {
-            b.iter(|| last_escapable(&grid, black_box(&path), 19.9, &rule));
+            b.iter(|| last_stop(black_box(&path), 19.9, |pose| has_escape(&grid, pose, &rule)));
         });
     }
 }

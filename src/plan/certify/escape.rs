@@ -69,33 +69,37 @@ impl EscapeRule {
     }
 }
 
-/// Whether a car at rest at a pose has a way on: a quarter arc to the left or to the right, or a
-/// run straight ahead as long as the turning radius.
-pub fn has_escape(grid: &Grid, pose: Pose, rule: &EscapeRule) -> bool {
+/// The ways on of a car at rest at a pose, and where they end: a run straight ahead as long as the
+/// turning radius, a quarter arc to the left, one to the right.
+pub fn escapes(grid: &Grid, pose: Pose, rule: &EscapeRule) -> impl Iterator<Item = (Arc, Pose)> {
     let ahead = Arc { length_m: rule.turn_radius_m, curvature_pm: 0.0 };
     [ahead, rule.arc(FRAC_PI_2), rule.arc(-FRAC_PI_2)]
-        .iter()
-        .any(|arc| arc_clear(grid, pose, arc, rule).is_some())
+        .into_iter()
+        .filter_map(move |arc| arc_clear(grid, pose, &arc, rule).map(|end| (arc, end)))
 }
 
-/// The largest arc length, not above `s_max_m`, at which a stop leaves a way on: `s_max_m` itself
-/// or a sample of the path before it. `None` if there is none, not even at the path's start.
-pub fn last_escapable(
-    grid: &Grid,
-    path: &[PathPoint],
-    s_max_m: f64,
-    rule: &EscapeRule,
-) -> Option<f64> {
-    let escapes = |p: &PathPoint| {
-        let pose = Pose { position: p.position, heading_rad: p.heading_rad };
-        has_escape(grid, pose, rule)
-    };
+/// Whether a car at rest at a pose has a way on.
+pub fn has_escape(grid: &Grid, pose: Pose, rule: &EscapeRule) -> bool {
+    leads_on(grid, pose, rule, 1)
+}
+
+/// Whether a car at rest at a pose has so many ways on, one after the other: fewer may lead into a
+/// nook.
+pub fn leads_on(grid: &Grid, pose: Pose, rule: &EscapeRule, ways: u32) -> bool {
+    ways == 0 || escapes(grid, pose, rule).any(|(_, end)| leads_on(grid, end, rule, ways - 1))
+}
+
+/// The largest arc length, not above `s_max_m`, at which a stop is good: `s_max_m` itself or a
+/// sample of the path before it. `None` if there is none, not even at the path's start.
+pub fn last_stop(path: &[PathPoint], s_max_m: f64, is_good: impl Fn(Pose) -> bool) -> Option<f64> {
+    let is_good =
+        |p: &PathPoint| is_good(Pose { position: p.position, heading_rad: p.heading_rad });
     let end = at_distance(path, s_max_m)?;
-    if escapes(&end) {
+    if is_good(&end) {
         return Some(end.s_m);
     }
     let before = path.partition_point(|p| p.s_m < s_max_m);
-    path[..before].iter().rev().find(|p| escapes(p)).map(|p| p.s_m)
+    path[..before].iter().rev().find(|p| is_good(p)).map(|p| p.s_m)
 }
 
 /// The pose at the end of an arc if the disc is clear all along it.

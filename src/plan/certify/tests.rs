@@ -450,12 +450,35 @@ fn in_a_narrow_passage_the_car_may_stop_while_it_is_seen_to_go_on() {
     assert!(has_escape(&grid, Pose::new(5.2, 0.0, 0.0), &strict));
     assert!(!has_escape(&grid, Pose::new(5.3, 0.0, 0.0), &strict));
     let path = straight(Pose::new(1.0, 0.0, 0.0), 5.0, 0.05);
-    let s = last_escapable(&grid, &path.points, 4.7, &strict).unwrap();
+    let last = |path: &[PathPoint], s_max_m| {
+        last_stop(path, s_max_m, |pose| has_escape(&grid, pose, &strict))
+    };
+    let s = last(&path.points, 4.7).unwrap();
     assert!((s - 4.25).abs() < 0.051, "{s}");
-    assert_eq!(last_escapable(&grid, &path.points, 2.013, &strict), Some(2.013));
+    assert_eq!(last(&path.points, 2.013), Some(2.013));
     let caught = straight(Pose::new(5.4, 0.0, 0.0), 0.3, 0.05);
-    assert_eq!(last_escapable(&grid, &caught.points, 0.3, &strict), None);
-    assert_eq!(last_escapable(&grid, &[], 0.3, &strict), None);
+    assert_eq!(last(&caught.points, 0.3), None);
+    assert_eq!(last(&[], 0.3), None);
+}
+
+#[test]
+fn a_way_on_that_ends_before_a_wall_leads_nowhere() {
+    let mut grid = Grid::new(0.1);
+    fill(&mut grid, (0.0, -0.4), (6.0, 0.4), Cell::Free);
+    let strict = rule(Surfaces::OccupiedAndUnknown);
+    let at = |x: f64| {
+        let pose = Pose::new(x, 0.0, 0.0);
+        [1, 2, 4].map(|ways| leads_on(&grid, pose, &strict, ways))
+    };
+    // The passage ends at 6 m; a run ahead is as long as the turning radius.
+    assert_eq!(at(3.7), [true, true, true]);
+    assert_eq!(at(3.8), [true, true, false]);
+    assert_eq!(at(4.8), [true, false, false]);
+    assert_eq!(at(5.3), [false, false, false]);
+    // In the open the way on is along the wall.
+    let mut hall = hall();
+    fill(&mut hall, (3.0, -5.0), (3.1, 5.0), Cell::Occupied);
+    assert!(leads_on(&hall, Pose::new(2.2, 0.0, 0.0), &strict, 4));
 }
 
 proptest! {

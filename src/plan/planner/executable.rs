@@ -6,14 +6,17 @@ use super::{Planner, SHORTEST_EDGE_M, SHORTEST_PLAN_M, StopRule};
 use crate::frames::Pose;
 use crate::map::Grid;
 use crate::plan::certify::{
-    EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start, clear_length_m,
-    last_escapable,
+    EscapeRule, Limits, StartTolerance, Surfaces, certify, check_start, clear_length_m, has_escape,
+    last_stop, leads_on,
 };
 use crate::plan::impasse::Courage;
 use crate::plan::request::{Plan, PlanRequest, Rejection, StepTimes};
 use crate::plan::speed::{End, SpeedLimits, SpeedTask};
 use crate::plan::{Path, PathPoint, Trajectory};
 
+/// So many ways on, one after the other, a bold stop must leave: one may end before a wall, two in
+/// a nook.
+pub(super) const WAYS_ON: u32 = 4;
 /// Deceleration towards a lower speed that was asked for, m/s^2.
 const SLOW_DOWN_MPS2: f64 = 2.0;
 
@@ -38,10 +41,15 @@ impl Planner {
         self.finish(request, path, stop_m, times)
     }
 
+    /// How near to the goal a path ends, metres.
+    pub(super) fn inside_goal_m(&self, request: &PlanRequest) -> f64 {
+        (request.goal.radius_m - self.params.plan.goal_depth_m).max(0.05)
+    }
+
     /// Ends the path inside the goal disc; says whether it gets there.
     pub(super) fn end_at_goal(&self, request: &PlanRequest, path: &mut Path) -> bool {
         let goal = request.goal;
-        let inside_m = (goal.radius_m - self.params.plan.goal_depth_m).max(0.05);
+        let inside_m = self.inside_goal_m(request);
         let distance = |p: &PathPoint| (p.position - goal.position).norm();
         let Some(last) = path.points.last() else { return false };
         if distance(last) > goal.radius_m {
@@ -58,29 +66,31 @@ impl Planner {
 
     /// Where on a path that is clear up to `clear_m` the plan stops, metres; zero if nowhere.
     fn stop_m(&self, grid: &Grid, path: &Path, clear_m: f64) -> f64 {
-        let rule = |surfaces| EscapeRule {
-            radius_m: self.keep_m(),
-            turn_radius_m: self.params.vehicle.turn_radius_m,
-            surfaces,
-        };
         let points = &path.points;
-        let optimistic = || last_escapable(grid, points, clear_m, &rule(Surfaces::Occupied));
-        let seen = rule(Surfaces::OccupiedAndUnknown);
+        let (hoped_rule, seen_rule) =
+            (self.escape_rule(Surfaces::Occupied), self.escape_rule(Surfaces::OccupiedAndUnknown));
+        let escapable = |rule| last_stop(points, clear_m, |pose| has_escape(grid, pose, rule));
         let stop = match self.params.plan.stop_rule {
-            StopRule::Optimistic => optimistic(),
-            StopRule::Seen => last_escapable(grid, points, clear_m, &seen),
+            StopRule::Optimistic => escapable(&hoped_rule),
+            StopRule::Seen => escapable(&seen_rule),
             StopRule::TurnRound => {
                 self.last_turnable(grid, points, clear_m, Surfaces::OccupiedAndUnknown)
             }
         };
         let courage = self.impasses.courage();
-        let hoped = || self.last_turnable(grid, points, clear_m, Surfaces::Occupied);
-        let some_way = || last_escapable(grid, points, clear_m, &seen);
+        let hopeful_stop = || self.last_turnable(grid, points, clear_m, Surfaces::Occupied);
+        let bold_stop =
+            || last_stop(points, clear_m, |pose| leads_on(grid, pose, &seen_rule, WAYS_ON));
         let progress = |s_m: &f64| *s_m >= SHORTEST_PLAN_M;
         stop.filter(progress)
-            .or_else(|| (courage >= Courage::Hopeful).then(hoped).flatten().filter(progress))
-            .or_else(|| (courage >= Courage::Bold).then(some_way).flatten())
+            .or_else(|| (courage >= Courage::Hopeful).then(hopeful_stop).flatten().filter(progress))
+            .or_else(|| (courage >= Courage::Bold).then(bold_stop).flatten())
             .unwrap_or(0.0)
+    }
+
+    /// What a stop must leave open at the least.
+    pub(super) fn escape_rule(&self, surfaces: Surfaces) -> EscapeRule {
+        EscapeRule::new(&self.params.certify, &self.params.vehicle, surfaces)
     }
 
     /// Cuts the path at the stop, sets speeds, and has it certified.

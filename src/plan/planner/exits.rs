@@ -203,4 +203,4 @@ fn joined(mut first: Guide, second: Guide) -> Guide {
 
 #[cfg(test)]
 #[path = "exits_tests.rs"]
-mod tests;
+pub(super) mod tests;

@@ -12,7 +12,12 @@ use crate::plan::{PlannerParams, Trajectory};
 use crate::predict::{NoPrediction, Predictor, RandomPredictor};
 use crate::time::{Duration, Instant};
 
-fn fill(grid: &mut Grid, x: std::ops::Range<i32>, y: std::ops::Range<i32>, cell: Cell) {
+pub(in crate::plan::planner) fn fill(
+    grid: &mut Grid,
+    x: std::ops::Range<i32>,
+    y: std::ops::Range<i32>,
+    cell: Cell,
+) {
     for iy in y {
         for ix in x.clone() {
             grid.set(CellIndex::new(ix, iy), cell);
@@ -34,7 +39,7 @@ fn hall(pillars: &[(i32, i32)]) -> Grid {
     grid
 }
 
-fn planner(policy: Policy, predictor: Box<dyn Predictor>) -> Planner {
+pub(in crate::plan::planner) fn planner(policy: Policy, predictor: Box<dyn Predictor>) -> Planner {
     planner_with(policy, predictor, |_| {})
 }
 
@@ -49,7 +54,7 @@ fn planner_with(
     Planner::new(params, predictor, Box::new(|| Duration::ZERO))
 }
 
-fn request(grid: Grid, start: Pose, goal: Point) -> PlanRequest {
+pub(in crate::plan::planner) fn request(grid: Grid, start: Pose, goal: Point) -> PlanRequest {
     let now = Instant::from_nanos(1_000_000_000);
     PlanRequest {
         number: 1,

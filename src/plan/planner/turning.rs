@@ -1,17 +1,18 @@
 //! Turning round: where a plan may stop so that the car can, and doing so where nothing else is
 //! left.
 
+use super::executable::WAYS_ON;
 use super::exits::Aim;
 use super::shape::{Candidate, ClearRoom};
-use super::ways::{leaves_heading, with_transitions};
+use super::ways::{aside_rad, leaves_heading, with_transitions};
 use super::{Branch, Planner};
 use crate::frames::{Point, Pose};
 use crate::map::{Clearance, DistanceField, Grid};
-use crate::plan::certify::Surfaces;
+use crate::plan::certify::{Surfaces, escapes, leads_on};
 use crate::plan::impasse::Courage;
 use crate::plan::path::at_distance;
 use crate::plan::request::{Plan, PlanRequest, StepTimes};
-use crate::plan::search::{Guide, ManoeuvreParams, ManoeuvreQuery, retreat};
+use crate::plan::search::{Guide, ManoeuvreParams, ManoeuvreQuery, arcs_path, retreat};
 use crate::plan::{Path, PathPoint};
 use crate::time::Instant;
 
@@ -195,6 +196,33 @@ impl Planner {
         narrowest.map(|(p, _)| (p, true))
     }
 
+    /// A plan along a quarter turn or a run straight ahead through space that has been seen, the last
+    /// resort of a bold car that has stood for long: away from a wall that it faces too closely for
+    /// any other plan. Of several the one from whose end the most ways go on; of these, the one that
+    /// ends facing the guide.
+    pub(super) fn way_on(
+        &mut self,
+        request: &PlanRequest,
+        here: &Branch,
+        guide: &Guide,
+        times: &mut StepTimes,
+    ) -> Option<Plan> {
+        if self.impasses.courage() != Courage::Bold || !self.impasses.is_lasting() {
+            return None;
+        }
+        let rule = self.escape_rule(Surfaces::OccupiedAndUnknown);
+        let grid = &request.grid;
+        let ways: Vec<_> = escapes(grid, here.pose(), &rule).collect();
+        let best_of = |more: u32| {
+            let ways = ways.iter().filter(|(_, end)| leads_on(grid, *end, &rule, more));
+            let aside_rad = |end: Pose| aside_rad(end, guide).unwrap_or(0.0);
+            ways.min_by(|a, b| aside_rad(a.1).total_cmp(&aside_rad(b.1)))
+        };
+        let (arc, _) = (0..=WAYS_ON).rev().find_map(best_of)?;
+        let path = arcs_path(here.pose(), &[(arc.curvature_pm, arc.length_m)]);
+        self.finish(request, &path, path.length_m(), times).ok()
+    }
+
     /// A plan that turns the car towards the guide, or at least round.
     ///
     /// Other plans keep some room and some steering for smoothing. A stop, however, is chosen where
@@ -248,3 +276,7 @@ impl Planner {
         self.finish(request, &path, path.length_m(), times).ok()
     }
 }
+
+#[cfg(test)]
+#[path = "turning_tests.rs"]
+mod tests;

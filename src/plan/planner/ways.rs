@@ -116,13 +116,22 @@ impl Planner {
 
 /// Whether the guide starts out in another direction than the car.
 pub(super) fn leaves_heading(pose: Pose, guide: &Guide, skip_turn_rad: f64) -> bool {
+    aside_rad(pose, guide).is_some_and(|aside_rad| aside_rad > skip_turn_rad)
+}
+
+/// How far to the side of a pose's heading the guide goes on from there, radians. `None` where it
+/// ends too near to tell.
+pub(super) fn aside_rad(pose: Pose, guide: &Guide) -> Option<f64> {
     const LOOK_M: f64 = 1.0;
     const TOO_NEAR_M: f64 = 0.3;
-    let from = |p: &&Point| (**p - pose.position).norm();
-    let ahead = guide.points.iter().find(|p| from(p) >= LOOK_M).or(guide.points.last());
-    ahead.filter(|p| from(p) >= TOO_NEAR_M).is_some_and(|p| {
+    let from = |p: &Point| (p - pose.position).norm();
+    let nearest = (0..guide.points.len())
+        .min_by(|a, b| from(&guide.points[*a]).total_cmp(&from(&guide.points[*b])))?;
+    let rest = &guide.points[nearest..];
+    let ahead = rest.iter().find(|p| from(p) >= LOOK_M).or(rest.last());
+    ahead.filter(|p| from(p) >= TOO_NEAR_M).map(|p| {
         let body = pose.to_body(*p);
-        body.y.atan2(body.x).abs() > skip_turn_rad
+        body.y.atan2(body.x).abs()
     })
 }
 

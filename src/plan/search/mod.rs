@@ -16,7 +16,7 @@ pub use astar::{GuideSearch, SearchError};
 pub use manoeuvre::{
     Manoeuvre, ManoeuvreParams, ManoeuvreQuery, ManoeuvreSearch, MaskRoom, NoManoeuvre, Room,
 };
-pub use retreat::retreat;
+pub use retreat::{arcs_path, retreat};
 
 use crate::frames::Point;
 use crate::map::{Cell, CellIndex, CellRect, floor_to_index};

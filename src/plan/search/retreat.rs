@@ -25,7 +25,7 @@ pub fn retreat<R: Room>(room: &R, from: Pose, behind: &[Pose], radius_m: f64) ->
         let mut ways: Vec<Dubins> = candidates(from, to, radius_m).into_iter().flatten().collect();
         ways.sort_by(|a, b| a.length_m.total_cmp(&b.length_m));
         let way = ways.iter().find(|way| fits_along(room, from, way))?;
-        Some(Path { points: samples(from, way).collect() })
+        Some(arcs_path(from, &way.pieces))
     })
 }
 
@@ -52,20 +52,20 @@ fn fits_along<R: Room>(room: &R, from: Pose, way: &Dubins) -> bool {
         })
 }
 
-/// The samples of a way; each carries the curvature of the piece that follows it, the last that of
-/// the last one.
-fn samples(from: Pose, way: &Dubins) -> impl Iterator<Item = PathPoint> {
+/// The path along arcs and straights, given as curvature and length in metres. Each sample carries
+/// the curvature of the piece that follows it, the last that of the last one.
+pub fn arcs_path(from: Pose, pieces: &[(f64, f64)]) -> Path {
     let sample = |pose: Pose, s_m: f64, curvature_pm: f64| {
         let Pose { position, heading_rad } = pose;
         PathPoint { s_m, position, heading_rad, curvature_pm }
     };
-    let pieces = way.pieces.into_iter().filter(|(_, length_m)| *length_m > LEAST_M);
+    let pieces = pieces.iter().copied().filter(|(_, length_m)| *length_m > LEAST_M);
     let (mut end, mut length, mut last_pm) = (from, 0.0, 0.0);
     for (curvature_pm, length_m) in pieces.clone() {
         end = end.along_arc(length_m, curvature_pm * length_m);
         (length, last_pm) = (length + length_m, curvature_pm);
     }
-    pieces
+    let samples = pieces
         .scan((from, 0.0), |(pose, s_m), (curvature_pm, length_m)| {
             let begin = (*pose, *s_m);
             *pose = pose.along_arc(length_m, curvature_pm * length_m);
@@ -79,7 +79,8 @@ fn samples(from: Pose, way: &Dubins) -> impl Iterator<Item = PathPoint> {
                 sample(pose.along_arc(along, curvature_pm * along), s_m + along, curvature_pm)
             })
         })
-        .chain(std::iter::once(sample(end, length, last_pm)))
+        .chain(std::iter::once(sample(end, length, last_pm)));
+    Path { points: samples.collect() }
 }
 
 #[cfg(test)]
@@ -153,7 +154,8 @@ mod tests {
         let from = Pose::new(0.6, 0.05, 0.0);
         let half_turn = candidates(from, Pose::new(0.6, 1.05, PI), RADIUS_M)[0];
         let half_turn = half_turn.expect("side by side");
-        assert!(samples(from, &half_turn).all(|p| room.fits(p.position)), "the example is right");
+        let half_turn = arcs_path(from, &half_turn.pieces);
+        assert!(half_turn.points.iter().all(|p| room.fits(p.position)), "the example is right");
         let behind: Vec<Pose> =
             (0..10).map(|i| Pose::new(0.6 - 0.3 * f64::from(i), 0.05, 0.0)).collect();
         assert!(retreat(&room, from, &behind, RADIUS_M).is_none());
