@@ -79,16 +79,17 @@ fn drive(case: Case) -> Driven {
     Driven { case, summary, physical }
 }
 
-/// Random drives that once did not arrive; start as x, y, degrees.
+/// Drives that once did not arrive; from a start (x, y, degrees) to a goal, or the maze's own.
 #[test]
 fn the_car_arrives_from_where_it_once_did_not() {
-    let arrives = |case: Case, start: [f64; 3], goal: [f64; 2], edit: fn(&mut Params)| {
+    let arrives = |case: Case, drive: Option<([f64; 3], [f64; 2])>, rate_hz: f64| {
         let maze = generate(case.family, case.seed, 0.1).unwrap();
         let mut params = params(&case);
-        edit(&mut params);
-        let start = Pose::new(start[0], start[1], start[2].to_radians());
-        let goal = Some(Point::new(goal[0], goal[1]));
-        let setup = RigSetup::new(&params, maze.world, start, goal);
+        params.lidar.rate_hz = rate_hz;
+        let (start, goal) = drive.map_or((maze.start, maze.goal), |([x, y, degrees], goal)| {
+            (Pose::new(x, y, degrees.to_radians()), Point::new(goal[0], goal[1]))
+        });
+        let setup = RigSetup::new(&params, maze.world, start, Some(goal));
         let mut rig = Rig::new(RigSetup { seed: 1, ..setup }).unwrap();
         rig.drive(|_| {});
         let summary = rig.summary(0.0);
@@ -104,10 +105,13 @@ fn the_car_arrives_from_where_it_once_did_not() {
     };
     // Askew in a hallway: where a full turn of beams closes lies right behind the car.
     let askew = case(Family::Solid, 1_743_449, PredictorKind::None, 6.0);
-    arrives(askew, [9.75, 1.83, 166.0], [11.58, 24.0], |params| params.lidar.rate_hz = 40.0);
+    arrives(askew, Some(([9.75, 1.83, 166.0], [11.58, 24.0])), 40.0);
     // Two ways, and whichever the car approaches is foreseen to be blocked.
     let torn = case(Family::Thin, 1_136_057, PredictorKind::Inverted, 6.0);
-    arrives(torn, [18.75, 2.94, 142.0], [6.08, 9.47], |params| params.lidar.rate_hz = 10.0);
+    arrives(torn, Some(([18.75, 2.94, 142.0], [6.08, 9.47])), 10.0);
+    // The last plan ends so near to the rim of the goal's disc that the car comes to rest outside.
+    let rim = case(Family::Solid, 1_000_002, PredictorKind::None, 8.0);
+    arrives(Case { policy: Policy::Frontier, ..rim }, None, 40.0);
 }
 
 /// Number of mazes a family at 4 m/s, and at 8 m/s.
