@@ -224,7 +224,8 @@ impl Planner {
             Verdict::Rejected(_) if here.speed_mps <= 0.0 => {
                 if self.impasses.count_failure() {
                     let turned = self.turn_back(request, &here, &guide, times);
-                    let plan = turned.or_else(|| self.way_on(request, &here, &guide, times));
+                    let hoped = turned.or_else(|| self.hoped_turn(request, &here, &guide, times));
+                    let plan = hoped.or_else(|| self.way_on(request, &here, &guide, times));
                     if let Some(plan) = plan {
                         return Verdict::Plan(Box::new(plan));
                     }

@@ -8,7 +8,7 @@ use super::ways::{aside_rad, leaves_heading, with_transitions};
 use super::{Branch, Planner};
 use crate::frames::{Point, Pose};
 use crate::map::{Clearance, DistanceField, Grid};
-use crate::plan::certify::{Surfaces, escapes, leads_on};
+use crate::plan::certify::{Surfaces, clear_length_m, escapes, leads_on};
 use crate::plan::impasse::Courage;
 use crate::plan::path::at_distance;
 use crate::plan::request::{Plan, PlanRequest, StepTimes};
@@ -223,6 +223,57 @@ impl Planner {
         self.finish(request, &path, path.length_m(), times).ok()
     }
 
+    /// The beginning of a manoeuvre onto the guide through space that is not known to be taken, as far
+    /// as it has been seen to be free: for a bold car that has stood for long. From its end more is
+    /// seen.
+    pub(super) fn hoped_turn(
+        &mut self,
+        request: &PlanRequest,
+        here: &Branch,
+        guide: &Guide,
+        times: &mut StepTimes,
+    ) -> Option<Plan> {
+        if self.impasses.courage() != Courage::Bold || !self.impasses.is_lasting() {
+            return None;
+        }
+        let path = self.patient_manoeuvre(request, here, guide, Surfaces::Occupied)?;
+        let seen_m = clear_length_m(&request.grid, &path.points, self.keep_m());
+        self.finish(request, &path, seen_m, times).ok()
+    }
+
+    /// A standing car's manoeuvre onto the guide, clear of these, as tight as it can.
+    fn patient_manoeuvre(
+        &mut self,
+        request: &PlanRequest,
+        here: &Branch,
+        guide: &Guide,
+        surfaces: Surfaces,
+    ) -> Option<Path> {
+        let vehicle = &self.params.vehicle;
+        let query = ManoeuvreQuery {
+            pose: here.pose(),
+            speed_mps: 0.0,
+            guide,
+            curvature_limit_pm: vehicle.curvature_limit_pm(),
+            acceleration_limit_mps2: vehicle.acceleration_limit_mps2(),
+        };
+        let ordinary = &self.params.manoeuvre;
+        let params = ManoeuvreParams {
+            curvature_share: 1.0,
+            effort: ordinary.effort * PATIENCE,
+            ..ordinary.clone()
+        };
+        let keep_m = self.keep_m() + TURN_SPARE_M;
+        let field = match surfaces {
+            Surfaces::Occupied => &self.occupied,
+            Surfaces::OccupiedAndUnknown => &self.blocked,
+        };
+        let clearance = Clearance::new(&request.grid, field);
+        let room = ClearRoom { clearance, keep_m };
+        let found = self.manoeuvre.find(&room, &query, &params).ok()??;
+        found.joins_at.map(|_| with_transitions(&found.path))
+    }
+
     /// A plan that turns the car towards the guide, or at least round.
     ///
     /// Other plans keep some room and some steering for smoothing. A stop, however, is chosen where
@@ -236,30 +287,14 @@ impl Planner {
         guide: &Guide,
         times: &mut StepTimes,
     ) -> Option<Plan> {
-        let ordinary = &self.params.manoeuvre;
+        let skip_turn_rad = self.params.manoeuvre.skip_turn_rad;
         let lasting = self.impasses.is_lasting();
-        if !leaves_heading(here.pose(), guide, ordinary.skip_turn_rad) && !lasting {
+        if !leaves_heading(here.pose(), guide, skip_turn_rad) && !lasting {
             return None;
         }
-        let vehicle = &self.params.vehicle;
-        let query = ManoeuvreQuery {
-            pose: here.pose(),
-            speed_mps: 0.0,
-            guide,
-            curvature_limit_pm: vehicle.curvature_limit_pm(),
-            acceleration_limit_mps2: vehicle.acceleration_limit_mps2(),
-        };
-        let params = ManoeuvreParams {
-            curvature_share: 1.0,
-            effort: ordinary.effort * PATIENCE,
-            ..ordinary.clone()
-        };
-        let clearance = Clearance::new(&request.grid, &self.blocked);
-        let room = ClearRoom { clearance, keep_m: self.keep_m() + TURN_SPARE_M };
-        if let Ok(Some(found)) = self.manoeuvre.find(&room, &query, &params)
-            && found.joins_at.is_some()
+        if let Some(path) =
+            self.patient_manoeuvre(request, here, guide, Surfaces::OccupiedAndUnknown)
         {
-            let path = with_transitions(&found.path);
             let candidate = Candidate { path, reaches_goal: false, rest_m: 0.0 };
             if let Ok(plan) = self.certified(request, &candidate, times) {
                 return Some(plan);
