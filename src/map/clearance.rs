@@ -6,7 +6,7 @@
 //! stops at the nearest square found so far.
 
 use super::{Blocking, Cell, CellIndex, DistanceField, Grid, floor_to_index};
-use crate::frames::Point;
+use crate::frames::{Point, Vector};
 
 /// Distance in metres from a point of the map frame to the nearest blocking cell's square, zero
 /// inside, at most `cap_m`. Cells outside the grid are unknown.
@@ -63,6 +63,32 @@ impl<'a> Clearance<'a> {
             }
         }
         self.at_up_to(p, least_m) >= least_m
+    }
+
+    /// Whether a disc around a point keeps clear of everything that has not been seen to be free:
+    /// unlike the rest, this knows of [quarters](Grid::seen_quarters) of cells.
+    pub fn is_seen_around(&self, centre: Point, radius_m: f64) -> bool {
+        let reach = Vector::repeat(radius_m);
+        let (low, high) = (self.grid.cell_at(centre - reach), self.grid.cell_at(centre + reach));
+        let is_touched = |low: Point, side_m: f64| {
+            let (dx, dy) =
+                (gap(centre.x, low.x, low.x + side_m), gap(centre.y, low.y, low.y + side_m));
+            dx * dx + dy * dy < radius_m * radius_m
+        };
+        let is_clear = |c: CellIndex| {
+            let corner = |c: CellIndex, side_m: f64| {
+                Point::new(f64::from(c.ix) * side_m, f64::from(c.iy) * side_m)
+            };
+            let side_m = self.grid.resolution_m();
+            self.grid.get(c) == Cell::Free
+                || !is_touched(corner(c, side_m), side_m)
+                || (self.grid.seen_quarters(c) != 0
+                    && !self
+                        .grid
+                        .blocked_quarters(c)
+                        .any(|q| is_touched(corner(q, 0.5 * side_m), 0.5 * side_m)))
+        };
+        (low.iy..=high.iy).all(|iy| (low.ix..=high.ix).all(|ix| is_clear(CellIndex::new(ix, iy))))
     }
 
     /// As [`at`](Self::at), at most `cap_m` (and at most the field's cap).
@@ -469,6 +495,41 @@ mod tests {
                 let turned = segment_clearance_m(&grid, b, a, blocking, cap);
                 prop_assert!((turned - exact).abs() < 1e-12);
                 prop_assert!((fast.segment(a, b, cap) - exact).abs() < 1e-12);
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn room_is_counted_by_the_quarters_that_were_seen(
+            seed in 0u64..1000, radius in 0.05f64..0.5,
+        ) {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut grid = world(seed, 0.1, 0.97);
+            for iy in -20..30 {
+                for ix in -30..20 {
+                    let c = CellIndex::new(ix, iy);
+                    if grid.get(c) != Cell::Free {
+                        grid.see_quarters(c, rng.random_range(0..16));
+                    }
+                }
+            }
+            let mut fine = Grid::new(0.05);
+            for iy in -40..60 {
+                for ix in -60..40 {
+                    let c = CellIndex::new(ix, iy);
+                    fine.set(c, grid.state_at(fine.centre(c)));
+                }
+            }
+            let mut field = DistanceField::new(Blocking::OccupiedOrUnknown, 1.5);
+            field.update(&grid, CellRect::EMPTY);
+            let clearance = Clearance::new(&grid, &field);
+            for _ in 0..50 {
+                let p = Point::new(rng.random_range(-3.5..2.5), rng.random_range(-2.5..3.5));
+                let nearest = brute_force(&fine, p, Blocking::OccupiedOrUnknown, 1.0);
+                if (nearest - radius).abs() > 1e-9 {
+                    prop_assert_eq!(clearance.is_seen_around(p, radius), nearest > radius);
+                }
             }
         }
     }

@@ -215,6 +215,15 @@ impl Fan {
         clear.then_some(true)
     }
 
+    /// Whether a square is proven free, given by its centre relative to the sensor (map axes) and half
+    /// its side, metres.
+    #[inline]
+    pub fn shows(&self, centre: Vector, half_m: f64) -> bool {
+        let half = Vector::repeat(half_m);
+        self.glance(centre.x as f32, centre.y as f32, half.norm() as f32)
+            .unwrap_or_else(|| self.covers(centre - half, centre + half))
+    }
+
     /// Whether the whole rectangle `low..high` (relative to the sensor, map axes) is proven free.
     pub fn covers(&self, low: Vector, high: Vector) -> bool {
         let far = low.abs().sup(&high.abs());

@@ -110,12 +110,20 @@ impl CellRect {
     }
 }
 
+/// All quarters of a cell, as a set: see [`Grid::seen_quarters`].
+const QUARTERS: u8 = 0b1111;
+
 /// A dense grid that grows; everything outside its bounds is [`Cell::Unknown`].
+///
+/// Of a cell that does not count as free, quarters may have been seen to be free. A view that opens
+/// round a corner proves them before it proves whole cells, and a disc that is swept round the corner
+/// needs no more.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     resolution_m: f64,
     bounds: CellRect,
     cells: Vec<Cell>,
+    quarters: Vec<u8>,
 }
 
 impl Grid {
@@ -125,7 +133,8 @@ impl Grid {
     /// If `resolution_m` is not positive and finite.
     pub fn new(resolution_m: f64) -> Self {
         assert!(resolution_m > 0.0 && resolution_m.is_finite(), "resolution {resolution_m} m");
-        Self { resolution_m, bounds: CellRect::EMPTY, cells: Vec::new() }
+        let (cells, quarters) = (Vec::new(), Vec::new());
+        Self { resolution_m, bounds: CellRect::EMPTY, cells, quarters }
     }
 
     /// Side of a cell, metres.
@@ -165,6 +174,57 @@ impl Grid {
         Some(&self.cells[start..start + self.bounds.width()])
     }
 
+    /// The quarters of a cell that have been seen to be free although the cell does not count as
+    /// free: bit 0 the one of least x and y, bit 1 its neighbour in x, bits 2 and 3 those above.
+    #[inline]
+    pub fn seen_quarters(&self, c: CellIndex) -> u8 {
+        self.offset(c).map_or(0, |i| self.quarters[i])
+    }
+
+    /// The quarters of a cell that may hold something, as cells of a grid twice as fine; all of a
+    /// cell of which nothing is known, none of one that is free.
+    #[inline]
+    pub fn blocked_quarters(&self, c: CellIndex) -> impl Iterator<Item = CellIndex> + use<> {
+        let free = if self.get(c) == Cell::Free { QUARTERS } else { self.seen_quarters(c) };
+        let quarters = (0..4).filter(move |k| free & (1 << k) == 0);
+        quarters.map(move |k| CellIndex::new(2 * c.ix + (k & 1), 2 * c.iy + (k >> 1)))
+    }
+
+    /// What is known of the quarter of a cell that holds a point of the map frame.
+    #[inline]
+    pub fn state_at(&self, p: Point) -> Cell {
+        let c = self.cell_at(p);
+        if self.seen_quarters(c) & self.quarter_at(p) != 0 { Cell::Free } else { self.get(c) }
+    }
+
+    /// The bit of the quarter of its cell that holds a point.
+    fn quarter_at(&self, p: Point) -> u8 {
+        let half_m = 0.5 * self.resolution_m;
+        let odd = |v: f64| floor_to_index(v / half_m) & 1;
+        1 << (odd(p.x) | odd(p.y) << 1)
+    }
+
+    /// Adds quarters that have been seen to be free to a stored cell that does not count as free.
+    pub(crate) fn see_quarters(&mut self, c: CellIndex, quarters: u8) {
+        let offset = self.offset(c).expect("the cell is stored");
+        self.quarters[offset] |= quarters;
+    }
+
+    /// Makes a stored cell occupied, but for its quarters that have been seen to be free.
+    pub(super) fn occupy(&mut self, c: CellIndex) {
+        let offset = self.offset(c).expect("the cell is stored");
+        self.cells[offset] = Cell::Occupied;
+    }
+
+    /// Makes what was seen to be free at a point occupied: the quarter, or the whole cell if it was
+    /// free.
+    pub(super) fn take_back(&mut self, p: Point) {
+        let c = self.cell_at(p);
+        let offset = self.offset(c).expect("the cell is stored");
+        self.quarters[offset] &= !self.quarter_at(p);
+        self.cells[offset] = Cell::Occupied;
+    }
+
     /// Stores a cell, growing the grid where needed.
     pub fn set(&mut self, c: CellIndex, cell: Cell) {
         if !self.bounds.contains(c) {
@@ -172,6 +232,7 @@ impl Grid {
         }
         let offset = self.offset(c).expect("the grid was grown to hold the cell");
         self.cells[offset] = cell;
+        self.quarters[offset] = 0;
     }
 
     /// Makes the bounds hold `rect`. Grows in steps of 64 cells so that driving on does not copy
@@ -189,17 +250,9 @@ impl Grid {
             x1: down(union.x1 + STEP - 1),
             y1: down(union.y1 + STEP - 1),
         };
-        let mut cells = vec![Cell::Unknown; bounds.width() * bounds.height()];
-        let width = self.bounds.width();
-        if width > 0 {
-            for (row, old) in self.cells.chunks_exact(width).enumerate() {
-                let y = (self.bounds.y0 - bounds.y0) as usize + row;
-                let start = y * bounds.width() + (self.bounds.x0 - bounds.x0) as usize;
-                cells[start..start + width].copy_from_slice(old);
-            }
-        }
+        self.cells = spread(&self.cells, self.bounds, bounds);
+        self.quarters = spread(&self.quarters, self.bounds, bounds);
         self.bounds = bounds;
-        self.cells = cells;
     }
 
     /// The cell that holds a point of the map frame.
@@ -221,6 +274,17 @@ impl Grid {
     }
 }
 
+/// What is stored for the cells of `from`, laid out for the larger `to`.
+fn spread<T: Copy + Default>(old: &[T], from: CellRect, to: CellRect) -> Vec<T> {
+    let mut new = vec![T::default(); to.width() * to.height()];
+    let width = from.width();
+    for (row, old) in old.chunks_exact(width.max(1)).enumerate() {
+        let start = ((from.y0 - to.y0) as usize + row) * to.width() + (from.x0 - to.x0) as usize;
+        new[start..start + width].copy_from_slice(old);
+    }
+    new
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,6 +300,27 @@ mod tests {
         assert_eq!(grid.get(CellIndex::new(63, -1)), Cell::Free);
         assert_eq!(grid.cells().iter().filter(|c| **c != Cell::Unknown).count(), 3);
         assert_eq!(grid.get(CellIndex::new(9_999, 9_999)), Cell::Unknown);
+    }
+
+    #[test]
+    fn quarters_stay_known_until_their_cell_is_free_or_they_are_taken_back() {
+        let mut grid = Grid::new(0.1);
+        let c = CellIndex::new(-3, 5);
+        grid.set(c, Cell::Unknown);
+        grid.see_quarters(c, 0b0110);
+        grid.grow_to(CellRect { x0: -200, y0: -200, x1: 200, y1: 200 });
+        let (left, right) = (Point::new(-0.28, 0.52), Point::new(-0.22, 0.52));
+        assert_eq!((grid.state_at(left), grid.state_at(right)), (Cell::Unknown, Cell::Free));
+        let blocked: Vec<_> = grid.blocked_quarters(c).collect();
+        assert_eq!(blocked, [CellIndex::new(-6, 10), CellIndex::new(-5, 11)]);
+        grid.occupy(c);
+        assert_eq!((grid.state_at(left), grid.state_at(right)), (Cell::Occupied, Cell::Free));
+        grid.take_back(right);
+        assert_eq!((grid.state_at(right), grid.seen_quarters(c)), (Cell::Occupied, 0b0100));
+        grid.set(c, Cell::Free);
+        assert_eq!((grid.state_at(left), grid.seen_quarters(c)), (Cell::Free, 0));
+        assert_eq!(grid.blocked_quarters(c).count(), 0);
+        assert_eq!(grid.blocked_quarters(CellIndex::new(9_999, 0)).count(), 4);
     }
 
     #[test]

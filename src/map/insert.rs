@@ -92,11 +92,13 @@ pub struct Mapper {
     grid: Arc<Grid>,
     fan: Fan,
     freed: Vec<CellIndex>,
+    /// Quarters of unknown cells that the scan proves free.
+    glimpsed: Vec<(CellIndex, u8)>,
     /// Hits that may belong to a neighbouring cell: end point, cell to mark, and how near to it an
     /// occupied cell explains the hit, metres.
     doubtful: Vec<(Point, CellIndex, f64)>,
-    /// Hits inside free space, with the cell that each would turn.
-    surprises: Vec<(Point, CellIndex)>,
+    /// Hits inside free space, with the place that each would turn.
+    surprises: Vec<(Point, Point)>,
 }
 
 impl Mapper {
@@ -107,6 +109,7 @@ impl Mapper {
             grid: Arc::new(Grid::new(params.resolution_m)),
             fan: Fan::default(),
             freed: Vec::new(),
+            glimpsed: Vec::new(),
             doubtful: Vec::new(),
             surprises: Vec::new(),
         }
@@ -255,7 +258,8 @@ impl Mapper {
             let at = |depth_m: f64| self.grid.cell_at(end + into * depth_m);
             let target = at(depth);
             let behind = at(tolerance);
-            match self.grid.get(target) {
+            let state = |depth_m: f64| self.grid.state_at(end + into * depth_m);
+            match state(depth) {
                 Cell::Occupied => {}
                 Cell::Unknown => {
                     let explained = [at(-tolerance), at(0.0), behind];
@@ -267,7 +271,7 @@ impl Mapper {
                     if self.grid.cell_at(inside + aside) == target
                         && self.grid.cell_at(inside - aside) == target
                     {
-                        Arc::make_mut(&mut self.grid).set(target, Cell::Occupied);
+                        Arc::make_mut(&mut self.grid).occupy(target);
                         insertion.newly_occupied += 1;
                         insertion.record(target);
                     } else if !lone {
@@ -276,16 +280,16 @@ impl Mapper {
                         self.doubtful.push((end, target, 1.5 * depth));
                     }
                 }
-                Cell::Free => match self.grid.get(behind) {
+                Cell::Free => match state(tolerance) {
                     Cell::Occupied => {}
                     Cell::Unknown => self.doubtful.push((end, behind, tolerance)),
-                    Cell::Free => self.surprises.push((end, target)),
+                    Cell::Free => self.surprises.push((end, end + into * depth)),
                 },
             }
         }
         for (end, mark, near_m) in &self.doubtful {
             if self.grid.get(*mark) == Cell::Unknown && !occupied_near(&self.grid, *end, *near_m) {
-                Arc::make_mut(&mut self.grid).set(*mark, Cell::Occupied);
+                Arc::make_mut(&mut self.grid).occupy(*mark);
                 insertion.newly_occupied += 1;
                 insertion.record(*mark);
             }
@@ -294,24 +298,26 @@ impl Mapper {
         // explained by its own first cell.
         let grid = &self.grid;
         self.surprises.retain(|(end, _)| !occupied_near(grid, *end, tolerance));
-        for (_, target) in &self.surprises {
-            if self.grid.get(*target) == Cell::Free {
-                Arc::make_mut(&mut self.grid).set(*target, Cell::Occupied);
+        for (_, inside) in &self.surprises {
+            if self.grid.state_at(*inside) == Cell::Free {
+                Arc::make_mut(&mut self.grid).take_back(*inside);
                 insertion.turned_occupied += 1;
-                insertion.record(*target);
+                insertion.record(self.grid.cell_at(*inside));
             }
         }
     }
 
     fn mark_free(&mut self, sensor: Point, insertion: &mut Insertion) {
         self.freed.clear();
+        self.glimpsed.clear();
         let resolution = self.grid.resolution_m();
         let radius = self.fan.radius_m().min(self.fan.range_m());
         let (low, high) = self.fan.extent();
         let (first, last) = (self.grid.cell_at(low), self.grid.cell_at(high));
         let bounds = self.grid.bounds();
-        let half = Vector::repeat((0.5 * resolution - self.params.free_tolerance_m).max(0.0));
-        let reach = half.norm() as f32;
+        let tolerance = self.params.free_tolerance_m;
+        let half = (0.5 * resolution - tolerance).max(0.0);
+        let quarter = 0.25 * resolution - tolerance;
         for iy in first.iy..=last.iy {
             let Some(row) = self.grid.row(iy) else { continue };
             let y = (f64::from(iy) + 0.5) * resolution - sensor.y;
@@ -330,19 +336,32 @@ impl Mapper {
             for (i, _) in cells.iter().enumerate().filter(|(_, cell)| **cell == Cell::Unknown) {
                 let ix = x0 + i as i32;
                 let x = (f64::from(ix) + 0.5) * resolution - sensor.x;
-                let free = match self.fan.glance(x as f32, y as f32, reach) {
-                    Some(plain) => plain,
-                    None => {
-                        let centre = Vector::new(x, y);
-                        self.fan.covers(centre - half, centre + half)
+                let (c, centre) = (CellIndex::new(ix, iy), Vector::new(x, y));
+                if self.fan.shows(centre, half) {
+                    self.freed.push(c);
+                } else if quarter >= tolerance {
+                    let known = self.grid.seen_quarters(c);
+                    let mut seen = 0;
+                    for k in (0..4).filter(|k| known & (1 << k) == 0) {
+                        let side = |bit: u8| if k & bit == 0 { -0.25 } else { 0.25 } * resolution;
+                        if self.fan.shows(centre + Vector::new(side(1), side(2)), quarter) {
+                            seen |= 1 << k;
+                        }
                     }
-                };
-                if free {
-                    self.freed.push(CellIndex::new(ix, iy));
+                    if seen != 0 {
+                        self.glimpsed.push((c, seen));
+                    }
                 }
             }
         }
         self.apply_freed(insertion);
+        if self.glimpsed.is_empty() {
+            return;
+        }
+        let grid = Arc::make_mut(&mut self.grid);
+        for (c, seen) in &self.glimpsed {
+            grid.see_quarters(*c, *seen);
+        }
     }
 
     fn apply_freed(&mut self, insertion: &mut Insertion) {
@@ -358,9 +377,21 @@ impl Mapper {
     }
 }
 
-/// Whether an occupied cell's square lies within `distance_m` of a point.
+/// Whether something occupied lies within `distance_m` of a point: a quarter of an occupied cell that
+/// has not been seen to be free.
 fn occupied_near(grid: &Grid, p: Point, distance_m: f64) -> bool {
-    super::clearance_m(grid, p, super::Blocking::Occupied, 2.0 * distance_m) <= distance_m
+    let reach = Vector::repeat(distance_m);
+    let (low, high) = (grid.cell_at(p - reach), grid.cell_at(p + reach));
+    let side_m = 0.5 * grid.resolution_m();
+    let is_near = |quarter: CellIndex| {
+        let low = Point::new(f64::from(quarter.ix), f64::from(quarter.iy)) * side_m;
+        let gap = |v: f64, low: f64| (low - v).max(v - low - side_m).max(0.0);
+        gap(p.x, low.x).hypot(gap(p.y, low.y)) <= distance_m
+    };
+    (low.iy..=high.iy)
+        .flat_map(|iy| (low.ix..=high.ix).map(move |ix| CellIndex::new(ix, iy)))
+        .filter(|c| grid.get(*c) == Cell::Occupied)
+        .any(|c| grid.blocked_quarters(c).any(is_near))
 }
 
 #[cfg(test)]

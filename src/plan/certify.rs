@@ -185,15 +185,15 @@ pub fn recertify(
     check_swept(trajectory.at_time(from_time_s).path, &points[next - 1..], grid, radius_m)
 }
 
-/// Arc length of the longest start of a path along which a disc stays in known-free cells, to
-/// within a thirtieth of an edge, never too long. Zero if not even the first sample is clear. A
-/// path cut there ([`Path::cut`](super::Path::cut)) passes the swept-disc check.
-pub fn clear_length_m(grid: &Grid, path: &[PathPoint], radius_m: f64) -> f64 {
+/// Arc length of the longest start of a path along which a disc stays clear of surfaces, to within a
+/// thirtieth of an edge, never too long. Zero if not even the first sample is clear. Unless unknown
+/// space was hoped to be free, a path cut there ([`Path::cut`](super::Path::cut)) passes the
+/// swept-disc check.
+pub fn clear_length_m(grid: &Grid, path: &[PathPoint], radius_m: f64, surfaces: Surfaces) -> f64 {
     // So that the rounding of cutting and interpolating again cannot turn the answer round.
     let radius = radius_m + ROUNDING;
-    let blocked = |a: &PathPoint, b: &PathPoint| {
-        edge_contact(grid, a, b, radius, Surfaces::OccupiedAndUnknown).is_some()
-    };
+    let blocked =
+        |a: &PathPoint, b: &PathPoint| edge_contact(grid, a, b, radius, surfaces).is_some();
     let Some(first) = path.first() else { return 0.0 };
     if blocked(first, first) {
         return 0.0;
@@ -242,7 +242,7 @@ fn check_swept(
             continue;
         }
         for p in group {
-            let found = edge_contact(grid, &a, &p.path, radius_m, Surfaces::OccupiedAndUnknown);
+            let found = edge_contact(grid, &a, &p.path, radius_m, Surfaces::Unseen);
             if let Some(c) = found {
                 return Err(violation(&a, &p.path, c));
             }
@@ -250,7 +250,7 @@ fn check_swept(
         }
     }
     // Of a trajectory of one sample there is no edge.
-    match contact(grid, a.position, a.position, radius_m, Surfaces::OccupiedAndUnknown) {
+    match contact(grid, a.position, a.position, radius_m, Surfaces::Unseen) {
         Some(c) => Err(violation(&a, &a, c)),
         None => Ok(()),
     }

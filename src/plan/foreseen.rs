@@ -57,6 +57,7 @@ pub(super) struct Foreseen {
     squares: Vec<CellRect>,
     points: Vec<Point>,
     answers: Vec<f32>,
+    has_spoken: bool,
 }
 
 impl Foreseen {
@@ -74,6 +75,7 @@ impl Foreseen {
             squares: Vec::new(),
             points: Vec::new(),
             answers: Vec::new(),
+            has_spoken: false,
         }
     }
 
@@ -148,6 +150,7 @@ impl Foreseen {
                 continue;
             };
             self.grid.set(*c, cell);
+            self.has_spoken = true;
             let one = CellRect { x0: c.ix, y0: c.iy, x1: c.ix + 1, y1: c.iy + 1 };
             self.filled = self.filled.union(&one);
             self.stale = self.stale.union(&one);
@@ -225,6 +228,11 @@ impl Foreseen {
     /// Whether nothing is filled in; then there is nothing to be asked of this map.
     pub(super) const fn is_silent(&self) -> bool {
         self.filled.is_empty()
+    }
+
+    /// Whether anything has been filled in in any step so far.
+    pub(super) const fn has_spoken(&self) -> bool {
+        self.has_spoken
     }
 
     /// Clearance to what is occupied or foreseen to be.

@@ -1,6 +1,6 @@
 //! Cutting a plan under way short when something has been set down on it.
 
-use super::certify::clear_length_m;
+use super::certify::{Surfaces, clear_length_m};
 use super::speed::{End, SpeedLimits, SpeedProfiler, SpeedTask};
 use super::{Path, Trajectory};
 use crate::map::Grid;
@@ -29,7 +29,7 @@ pub fn shorten(
         point.s_m -= state.path.s_m;
     }
     let mut path = Path { points };
-    let clear_m = clear_length_m(grid, &path.points, radius_m);
+    let clear_m = clear_length_m(grid, &path.points, radius_m, Surfaces::Unseen);
     path.cut(clear_m);
     let task = SpeedTask { start_speed_mps: state.speed_mps, end: End::Rest, caps_mps: None };
     let mut points = Vec::new();

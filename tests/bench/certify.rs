@@ -71,7 +71,7 @@ fn proof(c: &mut Criterion) {
             b.iter(|| certify(black_box(&trajectory), &grid, &limits).is_ok());
         });
         c.bench_function(&format!("clear length, 20 m, cells of {resolution} m"), |b| {
-            b.iter(|| clear_length_m(&grid, black_box(&path), limits.radius_m));
+            b.iter(|| clear_length_m(&grid, black_box(&path), limits.radius_m, Surfaces::Unseen));
         });
         let rule = EscapeRule {
             radius_m: limits.radius_m,

@@ -30,10 +30,13 @@ fn nearest(p: Point, side_m: f64, reach_m: f64, mut counts: impl FnMut(i64, i64)
     least
 }
 
-/// Distance to the nearest cell that is not known to be free, metres, at most `reach_m`.
+/// Distance to the nearest quarter of a cell that is not known to be free, metres, at most
+/// `reach_m`.
 pub fn to_blocked_m(grid: &Grid, p: Point, reach_m: f64) -> f64 {
-    nearest(p, grid.resolution_m(), reach_m, |ix, iy| {
-        grid.get(CellIndex::new(ix as i32, iy as i32)) != Cell::Free
+    nearest(p, 0.5 * grid.resolution_m(), reach_m, |ix, iy| {
+        let cell = CellIndex::new(ix.div_euclid(2) as i32, iy.div_euclid(2) as i32);
+        let quarter = ix.rem_euclid(2) + 2 * iy.rem_euclid(2);
+        grid.get(cell) != Cell::Free && grid.seen_quarters(cell) & (1 << quarter) == 0
     })
 }
 

@@ -107,6 +107,15 @@ fn cells(grid: &Grid, kind: Cell) -> Vec<CellIndex> {
         .collect()
 }
 
+/// The quarters seen of cells that are not free, as cells of a grid twice as fine.
+fn seen_quarters(grid: &Grid) -> Vec<CellIndex> {
+    let fine = Grid::new(0.5 * grid.resolution_m());
+    let cells = cells(grid, Cell::Unknown).into_iter().chain(cells(grid, Cell::Occupied));
+    let quarters = cells
+        .flat_map(|c| (0..4).map(move |k| CellIndex::new(2 * c.ix + (k & 1), 2 * c.iy + (k >> 1))));
+    quarters.filter(|q| grid.state_at(fine.centre(*q)) == Cell::Free).collect()
+}
+
 /// Deepest point of a cell's square inside an obstacle, on a dense lattice with its corners.
 fn intrusion(world: &[Block], grid: &Grid, c: CellIndex) -> f64 {
     let h = grid.resolution_m();
@@ -186,6 +195,16 @@ proptest! {
             let slack = apart + params.free_tolerance_m + 0.005;
             prop_assert!(intrusion(&world, mapper.grid(), c) < slack, "{c:?}");
             prop_assert!(hidden_behind(&world, pose.position, centre) < slack, "{c:?}");
+        }
+        let quarters = seen_quarters(mapper.grid());
+        prop_assert_eq!(quarters.is_empty(), fine, "quarters of small cells are all rim");
+        let grid = Grid::new(0.5 * params.resolution_m);
+        for q in quarters {
+            let centre = grid.centre(q);
+            let apart = (centre - pose.position).norm() * scan.angle_step_rad;
+            let slack = apart + params.free_tolerance_m + 0.005;
+            prop_assert!(intrusion(&world, &grid, q) < slack, "{q:?}");
+            prop_assert!(hidden_behind(&world, pose.position, centre) < slack, "{q:?}");
         }
     }
 
@@ -308,6 +327,51 @@ fn an_object_set_down_in_free_space_is_reported_and_stays() {
     let after = mapper.insert(&pose, &lidar(&world, &pose, 1080));
     assert_eq!((after.newly_free, after.changed), (0, CellRect::EMPTY));
     assert!(occupied.iter().all(|c| mapper.grid().get(*c) == Cell::Occupied));
+}
+
+/// Distance from a point to the nearest quarter of an occupied cell that was not seen to be free.
+fn clearance_of_occupied(grid: &Grid, p: Point) -> f64 {
+    let quarters = cells(grid, Cell::Occupied).into_iter().flat_map(|c| grid.blocked_quarters(c));
+    let beyond = |v: f64, i: i32| {
+        let low = 0.05 * f64::from(i);
+        (low - v).max(v - low - 0.05).max(0.0)
+    };
+    quarters.map(|q| beyond(p.x, q.ix).hypot(beyond(p.y, q.iy))).fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn what_is_set_down_on_a_quarter_that_was_seen_is_reported_and_takes_it_back() {
+    let world = corridor();
+    let pose = Pose::new(0.0, 0.03, 0.1);
+    let mut mapper = Mapper::new(&MapParams::default());
+    mapper.insert(&pose, &lidar(&world, &pose, 1080));
+    let fine = Grid::new(0.05);
+    let (mut turned, mut beside) = (0, 0);
+    for q in seen_quarters(mapper.grid()) {
+        let centre = fine.centre(q);
+        let away = centre - pose.position;
+        // Away from all else that could explain a hit, and no thinner than beams are apart.
+        if away.norm() > 6.0 || world.iter().any(|b| b.depth(centre) > -0.1) {
+            continue;
+        }
+        let mut mapper = mapper.clone();
+        let thing = Block {
+            pose: Pose { position: centre, heading_rad: 0.0 },
+            half: Vector::repeat(0.025),
+        };
+        let mut world = world.clone();
+        world.push(thing);
+        let insertion = mapper.insert(&pose, &lidar(&world, &pose, 1080));
+        // A hit right before unknown space is booked to that.
+        assert!(insertion.turned_occupied + insertion.newly_occupied > 0, "{q:?}");
+        if insertion.turned_occupied == 0 {
+            beside += 1;
+        } else {
+            turned += 1;
+            assert!(clearance_of_occupied(mapper.grid(), centre) < 0.025 + 1e-9, "{q:?}");
+        }
+    }
+    assert!(turned > 5, "{turned}, {beside} beside");
 }
 
 #[test]

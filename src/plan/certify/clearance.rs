@@ -13,7 +13,9 @@ use crate::plan::PathPoint;
 /// Which cells a swept disc must not touch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Surfaces {
-    /// Everything that is not known to be free.
+    /// Everything that has not been seen to be free.
+    Unseen,
+    /// All cells that do not count as free, with what has been seen of them.
     OccupiedAndUnknown,
     /// Only cells in which a beam has ended; the unknown is hoped to be free.
     Occupied,
@@ -23,7 +25,7 @@ impl Surfaces {
     #[inline]
     fn hold(self, cell: Cell) -> bool {
         match self {
-            Self::OccupiedAndUnknown => cell != Cell::Free,
+            Self::Unseen | Self::OccupiedAndUnknown => cell != Cell::Free,
             Self::Occupied => cell == Cell::Occupied,
         }
     }
@@ -83,7 +85,7 @@ pub(super) fn contact(
     }
     let res = grid.resolution_m();
     let bounds = grid.bounds();
-    if surfaces == Surfaces::OccupiedAndUnknown
+    if surfaces != Surfaces::Occupied
         && let Some(outside) = contact_with_outside(grid, a, b, reach_m)
     {
         return Some(outside);
@@ -113,6 +115,17 @@ pub(super) fn contact(
             let distance_sq = distance_to_square_sq(a, b, ix, iy, res);
             if distance_sq < reach_m * reach_m {
                 let cell = CellIndex::new(ix, iy);
+                let mut blocked = grid.blocked_quarters(cell);
+                let is_touched = |quarter: CellIndex| {
+                    let (ix, iy) = (quarter.ix, quarter.iy);
+                    distance_to_square_sq(a, b, ix, iy, 0.5 * res) < reach_m * reach_m
+                };
+                if surfaces == Surfaces::Unseen
+                    && grid.seen_quarters(cell) != 0
+                    && !blocked.any(is_touched)
+                {
+                    continue;
+                }
                 return Some(Contact { cell, state, distance_m: distance_sq.sqrt() });
             }
         }

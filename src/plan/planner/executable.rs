@@ -31,7 +31,8 @@ impl Planner {
         let mut lap = Lap::new(&self.clock);
         let path = &candidate.path;
         let keep_m = self.keep_m();
-        let clear_m = clear_length_m(&request.grid, &path.points, keep_m);
+        let seen = self.not_seen();
+        let clear_m = clear_length_m(&request.grid, &path.points, keep_m, seen);
         let stop_m = if candidate.reaches_goal && clear_m >= path.length_m() {
             clear_m
         } else {
@@ -73,9 +74,7 @@ impl Planner {
         let stop = match self.params.plan.stop_rule {
             StopRule::Optimistic => escapable(&hoped_rule),
             StopRule::Seen => escapable(&seen_rule),
-            StopRule::TurnRound => {
-                self.last_turnable(grid, points, clear_m, Surfaces::OccupiedAndUnknown)
-            }
+            StopRule::TurnRound => self.last_turnable(grid, points, clear_m, self.not_seen()),
         };
         let courage = self.impasses.courage();
         let hopeful_stop = || self.last_turnable(grid, points, clear_m, Surfaces::Occupied);

@@ -66,7 +66,7 @@ tunables! {
         /// Kept from walls, where there is room, in the path's shape through space that is foreseen,
         /// beyond what the certificate asks for: a car farther from a corner looks round it earlier,
         /// and need not slow down for what it cannot see yet.
-        wall_room_m: f64 = 0.1, live, in 0.0..=1.0, "m";
+        wall_room_m: f64 = 0.05, live, in 0.0..=1.0, "m";
         /// What a stop must leave room for.
         stop_rule: StopRule = StopRule::TurnRound, live, one of;
         /// Plans end this far inside the goal disc.

@@ -4,8 +4,9 @@ use super::lap::Lap;
 use super::ways::{Way, join, with_transitions};
 use super::{Branch, Planner, Policy, SHAPE_SLACK_M};
 use crate::frames::Point;
-use crate::map::Clearance;
+use crate::map::{Clearance, Grid};
 use crate::plan::Path;
+use crate::plan::certify::Surfaces;
 use crate::plan::foreseen::ShapeField;
 use crate::plan::request::{PlanRequest, Rejection, StepTimes};
 use crate::plan::search::{Guide, ManoeuvreQuery, Room};
@@ -41,10 +42,6 @@ impl Planner {
         times: &mut StepTimes,
     ) -> Result<Way, Rejection> {
         let mut lap = Lap::new(&self.clock);
-        let room = ClearRoom {
-            clearance: Clearance::new(&request.grid, &self.blocked),
-            keep_m: self.keep_m() + SHAPE_SLACK_M,
-        };
         let vehicle = &self.params.vehicle;
         let query = ManoeuvreQuery {
             pose: branch.pose(),
@@ -54,7 +51,10 @@ impl Planner {
             acceleration_limit_mps2: vehicle.acceleration_limit_mps2(),
         };
         let reaches_goal = self.reaches_goal(request, guide);
-        let found = self.manoeuvre.find(&room, &query, &self.params.manoeuvre);
+        let mut search = std::mem::take(&mut self.manoeuvre);
+        let room = self.room(&request.grid, self.not_seen(), SHAPE_SLACK_M);
+        let found = search.find(&room, &query, &self.params.manoeuvre);
+        self.manoeuvre = search;
         times.manoeuvre += lap.take(&self.clock);
         match found {
             Ok(None) => {
@@ -72,6 +72,31 @@ impl Planner {
                 Ok(Way { points, warm: false, manoeuvre, reaches_goal })
             }
             Err(none) => Err(Rejection::Shape(none.to_string())),
+        }
+    }
+
+    /// What stops and manoeuvres keep clear of. Up to the last quarter of a cell where shapes are
+    /// fitted into what is foreseen: they lie right before the view opens. Otherwise a car that drives
+    /// on to the edge of what it sees is too fast for what comes into view.
+    pub(super) fn not_seen(&self) -> Surfaces {
+        if self.foreseen.has_spoken() { Surfaces::Unseen } else { Surfaces::OccupiedAndUnknown }
+    }
+
+    /// Where the car keeps clear of these, with `spare_m` beyond what the certificate asks for.
+    pub(super) fn room<'a>(
+        &'a self,
+        grid: &'a Grid,
+        surfaces: Surfaces,
+        spare_m: f64,
+    ) -> ClearRoom<'a> {
+        let field = match surfaces {
+            Surfaces::Occupied => &self.occupied,
+            Surfaces::OccupiedAndUnknown | Surfaces::Unseen => &self.blocked,
+        };
+        ClearRoom {
+            clearance: Clearance::new(grid, field),
+            keep_m: self.keep_m() + spare_m,
+            by_quarters: surfaces == Surfaces::Unseen,
         }
     }
 
@@ -183,13 +208,17 @@ impl Planner {
     }
 }
 
+/// Room for the car's disc and what the certificate adds.
 pub(super) struct ClearRoom<'a> {
-    pub(super) clearance: Clearance<'a>,
-    pub(super) keep_m: f64,
+    clearance: Clearance<'a>,
+    keep_m: f64,
+    /// Quarters of cells that have been seen count as well.
+    by_quarters: bool,
 }
 
 impl Room for ClearRoom<'_> {
     fn fits(&self, centre: Point) -> bool {
         self.clearance.reaches(centre, self.keep_m)
+            || (self.by_quarters && self.clearance.is_seen_around(centre, self.keep_m))
     }
 }

@@ -3,11 +3,11 @@
 
 use super::executable::WAYS_ON;
 use super::exits::Aim;
-use super::shape::{Candidate, ClearRoom};
+use super::shape::Candidate;
 use super::ways::{aside_rad, leaves_heading, with_transitions};
 use super::{Branch, Planner};
 use crate::frames::{Point, Pose};
-use crate::map::{Clearance, DistanceField, Grid};
+use crate::map::{Clearance, Grid};
 use crate::plan::certify::{Surfaces, clear_length_m, escapes, leads_on};
 use crate::plan::impasse::Courage;
 use crate::plan::path::at_distance;
@@ -114,21 +114,15 @@ impl Planner {
         s_max_m: f64,
         surfaces: Surfaces,
     ) -> Option<f64> {
-        let field = match surfaces {
-            Surfaces::Occupied => &self.occupied,
-            Surfaces::OccupiedAndUnknown => &self.blocked,
-        };
         let steps = 0..=(s_max_m / STOP_STEP_M) as u32;
         let mut stops = steps.map(|i| s_max_m - f64::from(i) * STOP_STEP_M);
-        stops.find(|s_m| self.turns_back(grid, field, path, *s_m))
+        stops.find(|s_m| self.turns_back(grid, surfaces, path, *s_m))
     }
 
-    /// Whether a car that stops there can turn back onto the way that it came by, clear of what
-    /// the field holds for obstacles.
-    fn turns_back(&self, grid: &Grid, field: &DistanceField, path: &[PathPoint], s_m: f64) -> bool {
+    /// Whether a car that stops there can turn back onto the way that it came by, clear of these.
+    fn turns_back(&self, grid: &Grid, surfaces: Surfaces, path: &[PathPoint], s_m: f64) -> bool {
         let Some(stop) = at_distance(path, s_m) else { return false };
-        let clearance = Clearance::new(grid, field);
-        let room = ClearRoom { clearance, keep_m: self.keep_m() + STOP_SPARE_M };
+        let room = self.room(grid, surfaces, STOP_SPARE_M);
         let pose = Pose { position: stop.position, heading_rad: stop.heading_rad };
         let behind = self.tracks.behind(path, &stop);
         retreat(&room, pose, &behind, self.params.vehicle.turn_radius_m).is_some()
@@ -138,7 +132,7 @@ impl Planner {
     pub(super) fn is_stop_proven(&self, grid: &Grid, plan: &Plan) -> bool {
         let path: Vec<PathPoint> = plan.trajectory.points.iter().map(|p| p.path).collect();
         let stop_m = plan.trajectory.last().path.s_m;
-        self.turns_back(grid, &self.blocked, &path, stop_m)
+        self.turns_back(grid, self.not_seen(), &path, stop_m)
     }
 
     /// For a car that stands and gets nowhere along its guide: closes the place that keeps it from
@@ -237,7 +231,7 @@ impl Planner {
             return None;
         }
         let path = self.patient_manoeuvre(request, here, guide, Surfaces::Occupied)?;
-        let seen_m = clear_length_m(&request.grid, &path.points, self.keep_m());
+        let seen_m = clear_length_m(&request.grid, &path.points, self.keep_m(), Surfaces::Unseen);
         self.finish(request, &path, seen_m, times).ok()
     }
 
@@ -263,14 +257,10 @@ impl Planner {
             effort: ordinary.effort * PATIENCE,
             ..ordinary.clone()
         };
-        let keep_m = self.keep_m() + TURN_SPARE_M;
-        let field = match surfaces {
-            Surfaces::Occupied => &self.occupied,
-            Surfaces::OccupiedAndUnknown => &self.blocked,
-        };
-        let clearance = Clearance::new(&request.grid, field);
-        let room = ClearRoom { clearance, keep_m };
-        let found = self.manoeuvre.find(&room, &query, &params).ok()??;
+        let mut search = std::mem::take(&mut self.manoeuvre);
+        let found = search.find(&self.room(&request.grid, surfaces, TURN_SPARE_M), &query, &params);
+        self.manoeuvre = search;
+        let found = found.ok()??;
         found.joins_at.map(|_| with_transitions(&found.path))
     }
 
@@ -292,9 +282,7 @@ impl Planner {
         if !leaves_heading(here.pose(), guide, skip_turn_rad) && !lasting {
             return None;
         }
-        if let Some(path) =
-            self.patient_manoeuvre(request, here, guide, Surfaces::OccupiedAndUnknown)
-        {
+        if let Some(path) = self.patient_manoeuvre(request, here, guide, self.not_seen()) {
             let candidate = Candidate { path, reaches_goal: false, rest_m: 0.0 };
             if let Ok(plan) = self.certified(request, &candidate, times) {
                 return Some(plan);
@@ -303,8 +291,7 @@ impl Planner {
         if !leaves_heading(here.pose(), guide, BEHIND_RAD) && !lasting {
             return None;
         }
-        let clearance = Clearance::new(&request.grid, &self.blocked);
-        let room = ClearRoom { clearance, keep_m: self.keep_m() + TURN_SPARE_M };
+        let room = self.room(&request.grid, self.not_seen(), TURN_SPARE_M);
         let behind = self.tracks.behind(&[], &here.point);
         let path = retreat(&room, here.pose(), &behind, self.params.vehicle.turn_radius_m)?;
         let path: Path = with_transitions(&path);
