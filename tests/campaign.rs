@@ -109,6 +109,9 @@ fn the_car_arrives_from_where_it_once_did_not() {
     // Two ways, and whichever the car approaches is foreseen to be blocked.
     let torn = case(Family::Thin, 1_136_057, PredictorKind::Inverted, 6.0);
     arrives(torn, Some(([18.75, 2.94, 142.0], [6.08, 9.47])), 10.0);
+    // Between posts, with nothing proven but a way that ends before the next one.
+    let hemmed = case(Family::Posts, 1_186_804, PredictorKind::None, 2.0);
+    arrives(hemmed, Some(([7.65, 11.35, -112.0], [3.76, 15.96])), 20.0);
     // The last plan ends so near to the rim of the goal's disc that the car comes to rest outside.
     let rim = case(Family::Solid, 1_000_002, PredictorKind::None, 8.0);
     arrives(Case { policy: Policy::Frontier, ..rim }, None, 40.0);

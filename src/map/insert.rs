@@ -151,11 +151,14 @@ impl Mapper {
     /// First every beam that ended on a surface marks the cell just behind that surface occupied,
     /// unless something known explains the hit: an occupied cell within `hit_tolerance_m`, or, if
     /// the hit lies in a free cell, an unknown cell that close behind it (which is marked instead).
-    /// A free cell turns occupied only where nothing explains the hit.
+    /// A free cell turns occupied only where nothing explains the hit. A quarter that has been seen
+    /// counts as free here, whatever its cell counts as.
     ///
     /// Then an unknown cell becomes free if its square, less a rim of `free_tolerance_m`, lies
     /// inside the triangles spanned by neighbouring beams (see `fan`), and these stand at most half
-    /// a cell (and `min_obstacle_m`) apart at its far corner. Occupied cells are never freed.
+    /// a cell (and `min_obstacle_m`) apart at its far corner. Occupied cells are never freed. Of a
+    /// cell that stays unknown the quarters are noted of which this holds, unless they are so small
+    /// that little but rim would be left.
     pub fn insert(&mut self, pose: &Pose, scan: &Scan) -> Insertion {
         let mut insertion = Insertion::default();
         if let Err(refusal) = self.prepare(pose, scan) {

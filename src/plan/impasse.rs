@@ -86,6 +86,11 @@ impl Impasses {
         self.courage
     }
 
+    /// Whether the car stands without a plan.
+    pub const fn is_standing(&self) -> bool {
+        self.standing_steps > 0
+    }
+
     /// Whether the car has stood for long without a plan.
     pub const fn is_lasting(&self) -> bool {
         self.standing_steps >= LASTING

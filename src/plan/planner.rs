@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use super::PathPoint;
 use super::fenced::FencePainter;
-use super::foreseen::Foreseen;
+use super::foreseen::{Foreseen, ForeseenParams};
 use super::impasse::{Courage, Impasses};
 use super::request::{Plan, PlanRequest, Planning, Rejection, StepReport, StepTimes, Verdict};
 use super::search::{Guide, GuideSearch, ManoeuvreSearch};
@@ -31,6 +31,7 @@ mod guides;
 mod janson;
 mod lap;
 mod params;
+mod reliance;
 mod shape;
 mod turning;
 mod wandering;
@@ -42,6 +43,7 @@ pub use janson::JansonParams;
 use janson::Weigher;
 use lap::Lap;
 pub use params::{PlanParams, PlannerParams, Policy, Reading, StopRule};
+use reliance::Reliance;
 use shape::{Bends, Candidate};
 use wandering::Wandering;
 use ways::{Way, leaves_heading};
@@ -70,6 +72,9 @@ pub struct Planner {
     occupied: DistanceField,
     blocked: DistanceField,
     foreseen: Foreseen,
+    reliance: Reliance,
+    /// What of this step's view shapes rely on.
+    relied_on: ForeseenParams,
     lethal: Vec<bool>,
     tight: Vec<bool>,
     /// What this step's guide aims at.
@@ -124,6 +129,8 @@ impl Planner {
             occupied: DistanceField::new(Blocking::Occupied, FIELD_CAP_M),
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, FIELD_CAP_M),
             foreseen: Foreseen::new(FIELD_CAP_M),
+            reliance: Reliance::default(),
+            relied_on: ForeseenParams::default(),
             lethal: Vec::new(),
             tight: Vec::new(),
             aim: Aim::Anywhere,
@@ -202,6 +209,9 @@ impl Planner {
         } else {
             self.predictor.observe(&scene, &self.clock);
         }
+        let is_stuck = self.impasses.courage() != Courage::Proven || self.impasses.is_standing();
+        let mut view = self.predictor.view(&self.clock);
+        self.relied_on = self.reliance.judge(&self.params, is_stuck, &mut view);
 
         let branches = self.branches(request);
         let here = branches[0];

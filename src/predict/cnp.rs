@@ -151,6 +151,16 @@ impl OccupancyView for CnpPredictor {
         }
     }
 
+    fn familiarity(&mut self) -> f64 {
+        if self.fault.is_some() {
+            return 0.0;
+        }
+        self.network.familiarity(&self.crop).unwrap_or_else(|fault| {
+            self.fault = Some(fault);
+            0.0
+        })
+    }
+
     fn silent(&self, low: Point, high: Point) -> bool {
         let (first, last) = (self.lattice.cell_at(low), self.lattice.cell_at(high));
         let car = self.crop.car;

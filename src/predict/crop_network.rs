@@ -113,6 +113,19 @@ impl CropNetwork {
         Ok(())
     }
 
+    /// How familiar the crop looks, from 0 to 1; 0 if the network does not say so of whole scenes, or
+    /// there is nothing to look at.
+    ///
+    /// # Errors
+    /// If the network does not run.
+    pub fn familiarity(&mut self, crop: &Crop) -> Result<f64, PredictFault> {
+        if !self.encoded {
+            self.encode(crop)?;
+        }
+        let told = self.network.scene_familiarity().filter(|_| !self.context.is_empty());
+        Ok(told.map_or(0.0, f64::from))
+    }
+
     fn encode(&mut self, crop: &Crop) -> Result<(), PredictFault> {
         crop.context(self.network.metadata().context, &mut self.context);
         if !self.context.is_empty() {

@@ -59,6 +59,12 @@ pub trait OccupancyView {
     fn is_ever_certain(&self) -> bool {
         false
     }
+
+    /// How much this step's scene looks like those that it has learned from, from 0 to 1; 0 where it
+    /// does not say.
+    fn familiarity(&mut self) -> f64 {
+        0.0
+    }
 }
 
 /// The answer where nothing is foreseen.

@@ -131,6 +131,11 @@ impl Network {
         Ok(())
     }
 
+    /// How familiar the scene encoded last looks, if the encoder says so.
+    pub const fn scene_familiarity(&self) -> Option<f32> {
+        self.scene_familiarity
+    }
+
     /// Answers for points of the scene encoded last (x, y in its robot-cell frame, metres); at
     /// least one.
     ///

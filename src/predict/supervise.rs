@@ -169,6 +169,17 @@ impl OccupancyView for SupervisedView<'_> {
     fn is_ever_certain(&self) -> bool {
         !self.supervised.is_silent() && self.supervised.predictor.is_ever_certain()
     }
+
+    fn familiarity(&mut self) -> f64 {
+        let supervised = &mut *self.supervised;
+        if supervised.is_silent() {
+            return 0.0;
+        }
+        let before = (self.clock)();
+        let familiarity = supervised.predictor.familiarity();
+        supervised.look((self.clock)().saturating_sub(before));
+        if (0.0..=1.0).contains(&familiarity) { familiarity } else { 0.0 }
+    }
 }
 
 #[cfg(test)]

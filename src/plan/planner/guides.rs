@@ -99,7 +99,7 @@ impl Planner {
         let part = self.own_lap();
         let mut view = self.predictor.view(&self.clock);
         let horizon_m = self.params.smooth.horizon_m;
-        self.foreseen.look(&self.params.foreseen, grid, way, horizon_m, &mut view);
+        self.foreseen.look(&self.relied_on, grid, way, horizon_m, &mut view);
         times.field += self.own_time(part);
     }
 
