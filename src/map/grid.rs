@@ -216,15 +216,6 @@ impl Grid {
         self.cells[offset] = Cell::Occupied;
     }
 
-    /// Makes what was seen to be free at a point occupied: the quarter, or the whole cell if it was
-    /// free.
-    pub(super) fn take_back(&mut self, p: Point) {
-        let c = self.cell_at(p);
-        let offset = self.offset(c).expect("the cell is stored");
-        self.quarters[offset] &= !self.quarter_at(p);
-        self.cells[offset] = Cell::Occupied;
-    }
-
     /// Stores a cell, growing the grid where needed.
     pub fn set(&mut self, c: CellIndex, cell: Cell) {
         if !self.bounds.contains(c) {
@@ -315,8 +306,8 @@ mod tests {
         assert_eq!(blocked, [CellIndex::new(-6, 10), CellIndex::new(-5, 11)]);
         grid.occupy(c);
         assert_eq!((grid.state_at(left), grid.state_at(right)), (Cell::Occupied, Cell::Free));
-        grid.take_back(right);
-        assert_eq!((grid.state_at(right), grid.seen_quarters(c)), (Cell::Occupied, 0b0100));
+        grid.set(c, Cell::Occupied);
+        assert_eq!((grid.state_at(right), grid.seen_quarters(c)), (Cell::Occupied, 0));
         grid.set(c, Cell::Free);
         assert_eq!((grid.state_at(left), grid.seen_quarters(c)), (Cell::Free, 0));
         assert_eq!(grid.blocked_quarters(c).count(), 0);

@@ -64,14 +64,14 @@ const BORDER_M: f64 = 2.0;
 /// What one scan changed.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Insertion {
-    /// Holds every cell whose state changed.
+    /// Holds every cell whose state changed (a quarter that was seen changes none).
     pub changed: CellRect,
     /// Unknown cells that became free.
     pub newly_free: usize,
     /// Unknown cells that became occupied.
     pub newly_occupied: usize,
-    /// Free cells that became occupied: something was set down in free space, and the plan under
-    /// way must be certified again.
+    /// Cells that were free, or of which a quarter was, and became occupied: something was set down
+    /// in free space, and the plan under way must be certified again.
     pub turned_occupied: usize,
     /// Why the scan was not used, if it was not.
     pub refused: Option<Refusal>,
@@ -228,8 +228,8 @@ impl Mapper {
 
     /// Grows the grid to hold a box of the map frame and the border around it.
     fn reserve(&mut self, low: Point, high: Point) -> Result<(), Refusal> {
-        /// Half of what a cell index can address, in cells.
-        const FAR_CELLS: f64 = (i32::MAX / 2) as f64;
+        /// A quarter of what an index can address, in cells: quarters of cells are counted too.
+        const FAR_CELLS: f64 = (i32::MAX / 4) as f64;
         let resolution = self.grid.resolution_m();
         for (what, value) in
             [("least x", low.x), ("least y", low.y), ("greatest x", high.x), ("greatest y", high.y)]
@@ -303,9 +303,10 @@ impl Mapper {
         self.surprises.retain(|(end, _)| !occupied_near(grid, *end, tolerance));
         for (_, inside) in &self.surprises {
             if self.grid.state_at(*inside) == Cell::Free {
-                Arc::make_mut(&mut self.grid).take_back(*inside);
+                let target = self.grid.cell_at(*inside);
+                Arc::make_mut(&mut self.grid).set(target, Cell::Occupied);
                 insertion.turned_occupied += 1;
-                insertion.record(self.grid.cell_at(*inside));
+                insertion.record(target);
             }
         }
     }

@@ -1,7 +1,7 @@
 //! The safety proof of a plan: it knows the grid and the plan, never a prediction, and computes
 //! everything anew from the samples that will be driven.
 //!
-//! A trajectory that passes ends at rest, its disc never leaves known-free cells, and the tyres and
+//! A trajectory that passes ends at rest, its disc never leaves space that has been seen to be free, and the tyres and
 //! the steering can do what it asks. Then standing still at its end is always the last resort, and
 //! from every point on the way the rest of the trajectory itself is the way to stop: that the stop
 //! is within reach from everywhere needs no check of its own beside friction and final rest.

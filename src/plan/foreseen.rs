@@ -1,4 +1,4 @@
-//! The map with what is foreseen for certain filled in beside the way.
+//! The map with what is foreseen filled in beside the way: for certain, or likely enough.
 //!
 //! Shapes are fitted into this map, so that they lie right before the view opens. Certificates and
 //! stops know nothing of it.

@@ -69,7 +69,7 @@ impl Planner {
     fn stop_m(&self, grid: &Grid, path: &Path, clear_m: f64) -> f64 {
         let points = &path.points;
         let (hoped_rule, seen_rule) =
-            (self.escape_rule(Surfaces::Occupied), self.escape_rule(Surfaces::OccupiedAndUnknown));
+            (self.escape_rule(Surfaces::Occupied), self.escape_rule(self.not_seen()));
         let escapable = |rule| last_stop(points, clear_m, |pose| has_escape(grid, pose, rule));
         let stop = match self.params.plan.stop_rule {
             StopRule::Optimistic => escapable(&hoped_rule),

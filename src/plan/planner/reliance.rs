@@ -33,7 +33,9 @@ impl Reliance {
             return wanted.clone();
         }
         let is_asked = wanted.free_at_most > 0.0 || wanted.occupied_at_least < 1.0;
-        if !is_asked || params.speed.speed_max_mps > wanted.network_speed_mps {
+        let is_slow = params.speed.speed_max_mps <= wanted.network_speed_mps;
+        if !is_asked || !is_slow || !params.plan.policy.is_predictive() {
+            self.familiarity = 0.0;
             return nothing;
         }
         self.familiarity += NEWEST * (view.familiarity() - self.familiarity);
@@ -79,6 +81,7 @@ mod tests {
         assert!(!relies(&mut reliance, &params, false, 0.6));
         let after = (0..20).position(|_| relies(&mut reliance, &params, false, 0.6));
         assert!(after.is_some_and(|after| after > 3), "{after:?}");
+        assert!((0..20).all(|_| relies(&mut reliance, &params, false, 0.6)));
         // One odd scene is nothing, many are.
         assert!(relies(&mut reliance, &params, false, 0.0));
         assert!(!(0..20).all(|_| relies(&mut reliance, &params, false, 0.0)));

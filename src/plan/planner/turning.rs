@@ -41,6 +41,8 @@ const NEAR_M: f64 = 3.0;
 /// Narrow places are not looked for nearer than this, metres: where the car stands is no place to
 /// blame.
 const TIGHT_FROM_M: f64 = 0.7;
+/// From a manoeuvre's beginning that is shorter than this no more would be seen, metres.
+const GLIMPSE_M: f64 = 0.1;
 /// Stops are looked for at steps of this length, metres.
 const STOP_STEP_M: f64 = 0.1;
 
@@ -204,7 +206,7 @@ impl Planner {
         if self.impasses.courage() != Courage::Bold || !self.impasses.is_lasting() {
             return None;
         }
-        let rule = self.escape_rule(Surfaces::OccupiedAndUnknown);
+        let rule = self.escape_rule(self.not_seen());
         let grid = &request.grid;
         let ways: Vec<_> = escapes(grid, here.pose(), &rule).collect();
         let best_of = |more: u32| {
@@ -231,7 +233,10 @@ impl Planner {
             return None;
         }
         let path = self.patient_manoeuvre(request, here, guide, Surfaces::Occupied)?;
-        let seen_m = clear_length_m(&request.grid, &path.points, self.keep_m(), Surfaces::Unseen);
+        let seen_m = clear_length_m(&request.grid, &path.points, self.keep_m(), self.not_seen());
+        if seen_m < GLIMPSE_M {
+            return None;
+        }
         self.finish(request, &path, seen_m, times).ok()
     }
 
