@@ -27,6 +27,11 @@ tunables! {
 }
 
 impl ForeseenParams {
+    /// The same, but relying on nothing that is not certain.
+    pub(super) fn of_certainty(&self) -> Self {
+        Self { free_at_most: 0.0, occupied_at_least: 1.0, ..self.clone() }
+    }
+
     /// The answers of a view that are relied on: up to the first number free, from the second one on
     /// occupied; none where that asks for certainty and the view never is certain.
     fn limits(&self, view: &dyn OccupancyView) -> (Option<f64>, Option<f64>) {
@@ -435,11 +440,7 @@ mod tests {
             foreseen.begin(map.bounds());
             let way = line(Point::new(0.0, 0.0), Point::new(3.0, 3.0)).into_iter();
             let mut view = Nothing { silent, certain };
-            let params = ForeseenParams {
-                free_at_most: 0.0,
-                occupied_at_least: 1.0,
-                ..ForeseenParams::default()
-            };
+            let params = ForeseenParams::default().of_certainty();
             foreseen.look(&params, &map, way, 20.0, &mut view);
             assert!(foreseen.is_silent());
             let mut lethal = vec![false; map.cells().len()];

@@ -130,7 +130,7 @@ impl Planner {
             blocked: DistanceField::new(Blocking::OccupiedOrUnknown, FIELD_CAP_M),
             foreseen: Foreseen::new(FIELD_CAP_M),
             reliance: Reliance::default(),
-            relied_on: ForeseenParams::default(),
+            relied_on: ForeseenParams::default().of_certainty(),
             lethal: Vec::new(),
             tight: Vec::new(),
             aim: Aim::Anywhere,

@@ -27,8 +27,7 @@ impl Reliance {
         view: &mut dyn OccupancyView,
     ) -> ForeseenParams {
         let wanted = &params.foreseen;
-        let nothing =
-            ForeseenParams { free_at_most: 0.0, occupied_at_least: 1.0, ..wanted.clone() };
+        let nothing = wanted.of_certainty();
         if view.is_ever_certain() {
             return wanted.clone();
         }
