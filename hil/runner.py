@@ -18,7 +18,19 @@ from pathlib import Path
 import judge
 import mavlink
 import scenario as scenarios
-from stage import Broken, Bus, Hog, PacketFlood, Process, Pulse, Recorder, StoppedThread, Truth, call
+from stage import (
+    CAR_PRIORITY,
+    Broken,
+    Bus,
+    Hog,
+    PacketFlood,
+    Process,
+    Pulse,
+    Recorder,
+    StoppedThread,
+    Truth,
+    call,
+)
 
 POLL_S = 0.01
 # The daemon has this long from its start until the car moves.
@@ -78,7 +90,7 @@ class Play:
         for setting in s.car.get("set", []):
             command += ["--set", setting]
         command += ["--time-limit", str(s.limit_s), "--json"]
-        self.car = Process("car", command, self.folder)
+        self.car = Process("car", command, self.folder, priority=CAR_PRIORITY)
 
     def start_daemon(self, drive=True):
         s = self.scenario

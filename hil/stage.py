@@ -12,6 +12,11 @@ import threading
 import time
 from pathlib import Path
 
+# Real-time priority (SCHED_FIFO) of the car. In truth its controller is a computer of its own: whatever
+# the daemon computes, its odometry leaves in time. So here it goes before all of the daemon's threads
+# (`daemon.priority`), but not before what a scenario burdens the machine with.
+CAR_PRIORITY = 60
+
 # Frames of all kinds with identifiers that are none of ours, for a flood.
 FOREIGN = ["321#1122334455667788", "18FEF100#FFFF", "7E8##1001122334455667788AABBCC", "35A#R"]
 
@@ -251,19 +256,29 @@ class Pulse:
     sleeps 5 ms at a time and notes by how much it woke too late. No control tick can be more punctual;
     and where the machine is a guest, the longest delays are those for which its host left it waiting."""
 
-    # Later than this, the daemon's control period, the machine is said to have stalled (ms).
+    # Later than this, the daemon's control period, the machine is said to have stalled (ms): in one go, or
+    # by several delays in a row. A host that gives its guest a processor for some ms in ten stops nothing
+    # for long, but takes as much away.
     STALL_MS = 10.0
+    # So many are a row: about as long as the daemon waits for odometry.
+    ROW = 10
     PROGRAM = """
 import json, os, select, sys, time
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
-late, stalls, before = [], [], time.monotonic()
+limit, row = float(sys.argv[1]), int(sys.argv[2])
+late, stalls, began, before = [], [], 0, time.monotonic()
 # The wall clock may be set meanwhile.
 wall_zero = time.time() - before
 while not select.select([sys.stdin], [], [], 0.005)[0]:
     now = time.monotonic()
     late.append(1e3 * (now - before - 0.005))
-    if late[-1] > float(sys.argv[1]):
-        stalls.append((wall_zero + now, round(late[-1], 3)))
+    lost = 0.0
+    for count, one in enumerate(late[:-1 - min(row, len(late) - began):-1]):
+        lost += one
+        if lost > limit:
+            stalls.append((wall_zero + now, round(lost + 5.0 * count, 3)))
+            began = len(late)
+            break
     before = time.monotonic()
 late.sort()
 share = lambda part: round(late[int(part * (len(late) - 1))], 3)
@@ -272,7 +287,7 @@ print(json.dumps({"p50": share(0.5), "p99": share(0.99), "max": share(1.0), "sta
 
     def __init__(self):
         self.child = subprocess.Popen(
-            [sys.executable, "-c", self.PROGRAM, str(self.STALL_MS)],
+            [sys.executable, "-c", self.PROGRAM, str(self.STALL_MS), str(self.ROW)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -280,8 +295,8 @@ print(json.dumps({"p50": share(0.5), "p99": share(0.99), "max": share(1.0), "sta
         )
 
     def end(self):
-        """The lateness in milliseconds and every stall with the wall clock's time of its end; None
-        where real-time priority is not to be had."""
+        """The lateness in milliseconds, and of every stall the wall clock's time of its end and how long
+        it was (ms); None where real-time priority is not to be had."""
         output, _ = self.child.communicate("\n", timeout=10)
         return json.loads(output) if self.child.returncode == 0 else None
 
@@ -314,10 +329,19 @@ class StoppedThread:
             pass
 
 
-class Process:
-    """A program with its output in files."""
+def go_first(priority):
+    """Gives this process real-time priority, where that is to be had."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        pass
 
-    def __init__(self, name, command, folder, environment=None):
+
+class Process:
+    """A program with its output in files. With a `priority` it is a real-time one (SCHED_FIFO),
+    where that is to be had."""
+
+    def __init__(self, name, command, folder, environment=None, priority=None):
         self.name = name
         self.command = [str(word) for word in command]
         self.output = folder / f"{name}.json"
@@ -329,6 +353,7 @@ class Process:
                 stdout=out,
                 stderr=log,
                 env={**os.environ, **(environment or {})},
+                preexec_fn=priority and (lambda: go_first(priority)),
             )
 
     def running(self):
