@@ -57,19 +57,18 @@ impl Planner {
         self.manoeuvre = search;
         times.manoeuvre += lap.take(&self.clock);
         match found {
-            Ok(None) => {
-                let points = guide.points.clone();
-                Ok(Way { points, warm: false, manoeuvre: None, reaches_goal })
-            }
+            Ok(None) => Ok(Way::along(guide.points.clone(), false, reaches_goal)),
             Ok(Some(manoeuvre)) => {
                 let mut points: Vec<Point> =
                     manoeuvre.path.points.iter().map(|p| p.position).collect();
+                let mut beyond_m = manoeuvre.left_m;
                 if let Some(joined) = manoeuvre.joins_at {
                     points.extend_from_slice(&guide.points[joined + 1..]);
+                    beyond_m = 0.0;
                 }
                 let reaches_goal = reaches_goal && manoeuvre.joins_at.is_some();
                 let manoeuvre = Some(with_transitions(&manoeuvre.path));
-                Ok(Way { points, warm: false, manoeuvre, reaches_goal })
+                Ok(Way { points, beyond_m, warm: false, manoeuvre, reaches_goal })
             }
             Err(none) => Err(Rejection::Shape(none.to_string())),
         }
@@ -196,7 +195,7 @@ impl Planner {
             }
         };
         let way_m: f64 = way.points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-        let rest_m = (way_m - path.length_m()).max(0.0);
+        let rest_m = (way_m - path.length_m()).max(0.0) + way.beyond_m;
         let committed = &request.committed.trajectory;
         let takes_over = committed.at(request.takes_over).path;
         if branch.s_m > takes_over.s_m {

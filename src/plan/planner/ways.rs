@@ -22,11 +22,20 @@ const PLENTY_M: f64 = 8.0;
 /// What is to be smoothed.
 pub(super) struct Way {
     pub(super) points: Vec<Point>,
+    /// Length of the way beyond the last point, metres.
+    pub(super) beyond_m: f64,
     /// The points are an earlier shape.
     pub(super) warm: bool,
     /// The drivable start, in case smoothing finds nothing.
     pub(super) manoeuvre: Option<Path>,
     pub(super) reaches_goal: bool,
+}
+
+impl Way {
+    /// A way that its points lead along to its end.
+    pub(super) const fn along(points: Vec<Point>, warm: bool, reaches_goal: bool) -> Self {
+        Self { points, beyond_m: 0.0, warm, manoeuvre: None, reaches_goal }
+    }
 }
 
 /// The path that is being driven, with its imagined part.
@@ -102,14 +111,14 @@ impl Planner {
                 let old = candidate.path.points.iter().step_by(2);
                 let mut points: Vec<Point> = old.map(|p| p.position).collect();
                 points.extend_from_slice(&guide.points[*next..]);
-                Way { points, warm: true, manoeuvre: None, reaches_goal }
+                Way::along(points, true, reaches_goal)
             }
             Some(OldWay { follows: Some(fork), .. }) => {
                 let mut points = fork.blend.clone();
                 points.extend_from_slice(&guide.points[fork.guide + 1..]);
-                Way { points, warm: false, manoeuvre: None, reaches_goal }
+                Way::along(points, false, reaches_goal)
             }
-            _ => Way { points: guide.points.clone(), warm: false, manoeuvre: None, reaches_goal },
+            _ => Way::along(guide.points.clone(), false, reaches_goal),
         }
     }
 }

@@ -91,6 +91,9 @@ pub struct Manoeuvre {
     /// be reached: the path then leads closer to the guide (in metres that a forward-only car
     /// drives) and is to be driven to its end.
     pub joins_at: Option<usize>,
+    /// What is left to drive from the path's end to the guide's end, metres: along the guide, or, where
+    /// the path does not join it, at the least.
+    pub left_m: f64,
     /// How many states were expanded.
     pub expanded: usize,
 }
@@ -372,13 +375,16 @@ impl ManoeuvreSearch {
             expanded += spent;
             if let Some(Joined { state, end, way }) = found {
                 let path = self.path(state, Some(&way), params.step_m);
-                let joins_at = Some(self.ends[end].index);
-                return Ok(Some(Manoeuvre { path, joins_at, expanded }));
+                let index = self.ends[end].index;
+                let (joins_at, left_m) = (Some(index), length_from(query.guide, index));
+                return Ok(Some(Manoeuvre { path, joins_at, left_m, expanded }));
             }
         }
         if let Some(state) = self.best_gain() {
             let path = self.path(state, None, params.step_m);
-            return Ok(Some(Manoeuvre { path, joins_at: None, expanded }));
+            let rest_m = self.ends.last().map_or(0.0, |end| length_from(query.guide, end.index));
+            let left_m = self.states[state as usize].left_m + rest_m;
+            return Ok(Some(Manoeuvre { path, joins_at: None, left_m, expanded }));
         }
         let Point { coords } = pose.position;
         Err(NoManoeuvre { x_m: coords.x, y_m: coords.y, heading_rad: pose.heading_rad, expanded })
@@ -684,6 +690,11 @@ fn direction(guide: &Guide, index: usize) -> f64 {
     let after = guide.points[index..].iter().find(far).unwrap_or(last);
     let along = after - before;
     along.y.atan2(along.x)
+}
+
+/// Length of a guide from one of its points on, metres.
+fn length_from(guide: &Guide, index: usize) -> f64 {
+    guide.points[index..].windows(2).map(|w| (w[1] - w[0]).norm()).sum()
 }
 
 /// Whether the guide's first metre points away from the car's heading.

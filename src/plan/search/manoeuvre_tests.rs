@@ -76,6 +76,9 @@ fn check<R: Room>(room: &R, query: &ManoeuvreQuery<'_>, found: &Manoeuvre) {
         assert!((query.guide.points[index] - last.position).norm() < 1e-6);
         assert!(wrap_angle(direction(query.guide, index) - last.heading_rad).abs() < 1e-6);
     }
+    // No way to the guide's end is shorter than the straight line.
+    let end = query.guide.points.last().unwrap();
+    assert!(found.left_m >= (end - last.position).norm() - 1e-6, "{} m", found.left_m);
 }
 
 /// A corridor of 2.4 m along x that ends at x = 0, the disc's radius and margin taken off.
@@ -145,6 +148,7 @@ fn a_guide_that_is_unknown_at_once_still_gives_a_direction() {
     let found = find(&room, &query).unwrap().unwrap();
     check(&room, &query, &found);
     assert_eq!(found.joins_at, None);
+    assert!(found.left_m < 6.0, "{} m", found.left_m);
     let end = found.path.points.last().unwrap();
     assert!(end.heading_rad.abs() > 2.0 || end.heading_rad < 0.0, "turned about: {end:?}");
 }
