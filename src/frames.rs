@@ -53,14 +53,23 @@ impl Pose {
     /// The pose after driving `distance_m` along an arc that turns by `turn_rad` (exact for
     /// constant curvature, and for a straight line).
     pub fn along_arc(&self, distance_m: f64, turn_rad: f64) -> Self {
-        let half = 0.5 * turn_rad;
-        // chord = distance * sin(half)/half, along the mean heading
-        let sinc = if half.abs() < 1e-4 { 1.0 - half * half / 6.0 } else { half.sin() / half };
+        self.along_chord(chord_m(distance_m, turn_rad), turn_rad)
+    }
+
+    /// [`along_arc`](Self::along_arc) for an arc with this [chord](chord_m).
+    pub fn along_chord(&self, chord_m: f64, turn_rad: f64) -> Self {
         Self {
-            position: self.position + heading_vector(self.heading_rad + half) * (distance_m * sinc),
+            position: self.position + heading_vector(self.heading_rad + 0.5 * turn_rad) * chord_m,
             heading_rad: wrap_angle(self.heading_rad + turn_rad),
         }
     }
+}
+
+/// Distance in metres between the ends of an arc of `distance_m` that turns by `turn_rad`.
+pub fn chord_m(distance_m: f64, turn_rad: f64) -> f64 {
+    let half = 0.5 * turn_rad;
+    let sinc = if half.abs() < 1e-4 { 1.0 - half * half / 6.0 } else { half.sin() / half };
+    distance_m * sinc
 }
 
 #[cfg(test)]

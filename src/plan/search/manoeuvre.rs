@@ -11,7 +11,7 @@ use super::buckets::Buckets;
 use super::dubins::{self, Dubins};
 use super::window::{DIAGONAL, STRAIGHT};
 use super::{Guide, cell_at, coarse_first};
-use crate::frames::{Point, Pose, Vector};
+use crate::frames::{Point, Pose, Vector, chord_m};
 use crate::map::CellRect;
 use crate::plan::{Path, PathPoint};
 use crate::tunables;
@@ -149,8 +149,9 @@ struct End {
 #[derive(Clone, Copy)]
 struct State {
     pose: Pose,
-    /// Driven from the start, metres.
+    /// Driven from the start, metres, and in how many arcs.
     s_m: f64,
+    arcs: usize,
     parent: u32,
     /// Of the arc that led here, 1/m.
     curvature_pm: f64,
@@ -254,18 +255,10 @@ impl<R: Room> Ground<'_, R> {
         self.room.fits(p) || (!self.start_fits && (p - self.start).norm() <= LEAVE_M)
     }
 
-    /// Where an arc ends, if the disc fits all along it.
-    fn drive(&self, from: Pose, curvature_pm: f64, length_m: f64) -> Option<Pose> {
-        let pieces = parts_of(length_m);
-        let mut pose = from;
-        for i in 1..=pieces as u32 {
-            let s = length_m * f64::from(i) / pieces;
-            pose = from.along_arc(s, curvature_pm * s);
-            if !self.open(pose.position) {
-                return None;
-            }
-        }
-        Some(pose)
+    /// Whether the disc fits all along an arc that ends at `end`.
+    fn is_open_along(&self, from: Pose, arc: &Arc, end: Pose) -> bool {
+        let mut within = arc.within.iter().map(|p| from.along_chord(p.chord_m, p.turn_rad));
+        self.open(end.position) && within.all(|pose| self.open(pose.position))
     }
 
     /// Whether the disc fits all along a way. Where it is blocked is met soonest by looking at a few
@@ -289,6 +282,40 @@ impl<R: Room> Ground<'_, R> {
                 })
             })
         })
+    }
+}
+
+/// The beginning of an arc, or all of it, seen from where it begins.
+#[derive(Clone, Copy)]
+struct Piece {
+    chord_m: f64,
+    turn_rad: f64,
+}
+
+/// An arc that states are expanded by.
+struct Arc {
+    curvature_pm: f64,
+    whole: Piece,
+    /// As far as each look at the room before its end.
+    within: Vec<Piece>,
+}
+
+impl Arc {
+    fn new(curvature_pm: f64, length_m: f64) -> Self {
+        let parts = parts_of(length_m);
+        let pieces = (1..=parts as u32).map(|i| {
+            let s = length_m * f64::from(i) / parts;
+            let turn_rad = curvature_pm * s;
+            Piece { chord_m: chord_m(s, turn_rad), turn_rad }
+        });
+        let mut within: Vec<_> = pieces.collect();
+        let whole = within.pop().expect("an arc has at least one part");
+        Self { curvature_pm, whole, within }
+    }
+
+    /// The arcs from a state, the tightest of them given.
+    fn fan(tightest_pm: f64, length_m: f64) -> [Self; 5] {
+        [0.0, 0.5, -0.5, 1.0, -1.0].map(|share| Self::new(share * tightest_pm, length_m))
     }
 }
 
@@ -448,6 +475,7 @@ impl ManoeuvreSearch {
         self.add(State {
             pose: start,
             s_m: 0.0,
+            arcs: 0,
             parent: NONE,
             curvature_pm: 0.0,
             slot,
@@ -455,6 +483,8 @@ impl ManoeuvreSearch {
             leads_on: false,
         });
         let (mut expanded, mut best, mut best_m) = (0, None, f64::INFINITY);
+        // By the number of arcs that led to a state: that says how fast the car is there at most.
+        let mut fans: Vec<[Arc; 5]> = Vec::new();
         while let Some((Reverse(key), _, id, refined)) = self.heap.pop() {
             if key_m(key) * GOOD_ENOUGH >= best_m || expanded >= level.effort {
                 break;
@@ -476,20 +506,38 @@ impl ManoeuvreSearch {
             }
             self.slots[state.slot as usize].1 = -1.0;
             expanded += 1;
-            for share in [0.0, 0.5, -0.5, 1.0, -1.0] {
-                let curvature_pm = share * tightest;
-                let Some(pose) = ground.drive(state.pose, curvature_pm, step_m) else { continue };
-                self.states[id as usize].leads_on = true;
-                let Some(slot) = lattice.slot(pose) else { continue };
+            // Parents are expanded before their children.
+            if fans.len() == state.arcs {
+                fans.push(Arc::fan(tightest, step_m));
+            }
+            for arc in &fans[state.arcs] {
+                let pose = state.pose.along_chord(arc.whole.chord_m, arc.whole.turn_rad);
                 let s_m = state.s_m + step_m;
-                let (generation, least) = self.slots[slot as usize];
-                if generation == self.generation && f64::from(least) <= s_m {
+                // Most squares have been reached before: that is sooner seen than room.
+                let slot = lattice.slot(pose).filter(|slot| {
+                    let (generation, least) = self.slots[*slot as usize];
+                    generation != self.generation || f64::from(least) > s_m
+                });
+                if slot.is_none() && self.states[id as usize].leads_on {
                     continue;
                 }
+                if !ground.is_open_along(state.pose, arc, pose) {
+                    continue;
+                }
+                self.states[id as usize].leads_on = true;
+                let Some(slot) = slot else { continue };
                 let left_m =
                     self.left_over_plane(lattice, pose.position).max(state.left_m - step_m);
-                let leads_on = false;
-                self.add(State { pose, s_m, parent: id, curvature_pm, slot, left_m, leads_on });
+                self.add(State {
+                    pose,
+                    s_m,
+                    arcs: state.arcs + 1,
+                    parent: id,
+                    curvature_pm: arc.curvature_pm,
+                    slot,
+                    left_m,
+                    leads_on: false,
+                });
             }
         }
         (best, expanded)

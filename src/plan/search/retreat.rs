@@ -4,7 +4,7 @@
 //! known to have room, and bends that it drove one way it can drive the other. A half turn alone
 //! promises less: in a nook it may end facing the next wall.
 
-use super::dubins::{Dubins, candidates};
+use super::dubins::{self, Dubins};
 use super::{Room, coarse_first};
 use crate::frames::{Pose, wrap_angle};
 use crate::plan::{Path, PathPoint};
@@ -22,7 +22,7 @@ pub fn retreat<R: Room>(room: &R, from: Pose, behind: &[Pose], radius_m: f64) ->
     behind.iter().find_map(|pose| {
         let heading_rad = wrap_angle(pose.heading_rad + std::f64::consts::PI);
         let to = Pose { heading_rad, ..*pose };
-        let mut ways: Vec<Dubins> = candidates(from, to, radius_m).into_iter().flatten().collect();
+        let mut ways = dubins::ways(from, to, radius_m);
         ways.sort_by(|a, b| a.length_m.total_cmp(&b.length_m));
         let way = ways.iter().find(|way| fits_along(room, from, way))?;
         Some(arcs_path(from, &way.pieces))
@@ -152,8 +152,7 @@ mod tests {
     fn room_for_half_a_turn_is_not_enough() {
         let room = Nook;
         let from = Pose::new(0.6, 0.05, 0.0);
-        let half_turn = candidates(from, Pose::new(0.6, 1.05, PI), RADIUS_M)[0];
-        let half_turn = half_turn.expect("side by side");
+        let half_turn = dubins::shortest(from, Pose::new(0.6, 1.05, PI), RADIUS_M);
         let half_turn = arcs_path(from, &half_turn.pieces);
         assert!(half_turn.points.iter().all(|p| room.fits(p.position)), "the example is right");
         let behind: Vec<Pose> =
