@@ -13,11 +13,15 @@ import sys
 import time
 from pathlib import Path
 
+import again
 import judge
-from stage import CAR_PRIORITY, Broken, Process, Recorder, Truth
+from stage import CAR_PRIORITY, Broken, Process, Pulse, Recorder, Truth
 
 CAN = "vcan0"
 UNIT = "apexd.service"
+# One slow processor is shared with systemd, journald and the recorder: with six times the frames some
+# machines report overload, which is another test's subject.
+LIGHT_LIDAR = ["--set", "lidar.beams=360", "--set", "lidar.rate_hz=10"]
 DROP_IN = Path("/etc/systemd/system/apexd.service.d/test.conf")
 CONFIG = Path("/etc/apexd/car.toml")
 
@@ -79,7 +83,7 @@ class Drive:
         self.truth = Truth(folder / "truth.jsonl")
         self.recorder = Recorder(CAN, folder)
         car = ["/usr/bin/apexd", "car", "--can", CAN, "--truth", self.truth.path, "--maze", maze]
-        car += ["--time-limit", "120", "--json"]
+        car += ["--time-limit", "120", "--json", *LIGHT_LIDAR]
         self.car = Process("car", car, folder, priority=CAR_PRIORITY)
         Drive.running += [self.car.child, self.recorder.child]
         wait(lambda: self.truth.read() and self.truth.world, "the car writes its truth")
@@ -92,7 +96,8 @@ class Drive:
         DROP_IN.write_text(
             f"[Unit]\nWants=apexd-can@{CAN}.service\nAfter=apexd-can@{CAN}.service\n"
             "[Service]\nExecStart=\n"
-            f"ExecStart=/usr/bin/apexd run --config {CONFIG} --start={start} --goal={goal}\n{extra}"
+            f"ExecStart=/usr/bin/apexd run --config {CONFIG} --start={start} --goal={goal}"
+            f" --set guard.scan_age_max_s=0.4\n{extra}"
         )
         run("systemctl", "daemon-reload")
         run("systemctl", "start", UNIT)
@@ -136,11 +141,11 @@ class Drive:
         return end
 
 
-def stopped_for_good(drive, struck, within_s=1.5):
+def stopped_for_good(drive, struck):
     """The car stopped soon and stayed. 1.5 s: along a braking tail."""
     found = judge.rest(drive.truth, struck)
     check(found["stopped_t_s"] is not None, "the car is not at rest")
-    check(found["stop_s"] < within_s, f"at rest only after {found['stop_s']:.2f} s")
+    check(found["stop_s"] < 1.5, f"at rest only after {found['stop_s']:.2f} s")
     check(found["crept_m"] < judge.CREEP_M, f"moved {found['crept_m']:.2f} m after its stop")
     return f"at rest after {found['stop_s']:.2f} s and {found['stop_m']:.2f} m"
 
@@ -209,24 +214,24 @@ def drives_and_stops(out):
         os.sched_getscheduler(int(task.name)) for task in Path(f"/proc/{pid}/task").iterdir()
     }
     check(os.SCHED_FIFO in policies, "no thread has real-time priority")
-    struck = drive.reach(2.5)
+    told = drive.reach(2.5)
     run("systemctl", "stop", UNIT)
-    check(show("Result") == "success", f"the service ended with {show('Result')}")
-    # It ends only when the car stands.
+    # It ends only when the car stands. Before that it may have stopped for a fault and gone on.
     drive.truth.read()
-    check(drive.truth.state["speed_mps"] < 0.05, "the daemon left a car that moves")
+    ended = drive.truth.state
+    check(ended["speed_mps"] < 0.05, "the daemon left a car that moves")
+    check(show("Result") == "success", f"the service ended with {show('Result')}")
     drive.follow(0.5)
-    # Told to end it drives its plan to the end, which is gentler than a braking tail.
-    words = stopped_for_good(drive, struck, within_s=6.0)
+    stopped_for_good(drive, ended["t_s"])
     drive.end()
-    return words
+    return f"ended {ended['t_s'] - told:.1f} s after being told to, the car at rest"
 
 
 def killed_at_speed(out):
     """kill -9 at speed: the car stops along its braking tail; the daemon comes back disarmed."""
     drive = Drive(out / "kill", 2)
-    struck = drive.reach(2.5)
     pid = int(show("MainPID"))
+    struck = drive.reach(2.5)
     os.kill(pid, 9)
     drive.at_rest()
     restarted(pid)
@@ -242,8 +247,8 @@ def killed_at_speed(out):
 def hung_at_speed(out):
     """SIGSTOP at speed: the car stops along its braking tail; the watchdog ends the daemon."""
     drive = Drive(out / "hang", 3)
-    struck = drive.reach(2.5)
     pid = int(show("MainPID"))
+    struck = drive.reach(2.5)
     began = time.monotonic()
     os.kill(pid, 19)
     wait(lambda: int(show("MainPID")) != pid, "the watchdog fires", 15.0)
@@ -287,6 +292,24 @@ CHECKS = [
 ]
 
 
+def attempt(one, folder):
+    """What the check says, how it failed if it did, and whether the machine stood still meanwhile."""
+    folder.mkdir(exist_ok=True)
+    pulse = Pulse()
+    words, failure = None, None
+    try:
+        words = one(folder)
+    except (Failed, Broken, OSError, ValueError, KeyError, TypeError) as error:
+        failure = f"{type(error).__name__}: {error}"
+        subprocess.run(["systemctl", "stop", UNIT], check=False)
+        subprocess.run(["systemctl", "reset-failed", UNIT], check=False)
+        for process in Drive.running:
+            process.kill()
+        Drive.running.clear()
+    late = pulse.end()
+    return words, failure, late is None or bool(late["stalls"])
+
+
 def main():
     out = Path(sys.argv[1])
     # For the same reason as in hil/guest/init.
@@ -294,21 +317,20 @@ def main():
     passed = failed = 0
     for one in CHECKS:
         began = time.monotonic()
-        title = one.__doc__.split("\n")[0]
-        try:
-            words = one(out)
-            word, passed = "ok    ", passed + 1
-        except (Failed, Broken, OSError, ValueError, KeyError, TypeError) as error:
-            words, word, failed = f"{type(error).__name__}: {error}", "FAILED", failed + 1
-            subprocess.run(["systemctl", "stop", UNIT], check=False)
-            subprocess.run(["systemctl", "reset-failed", UNIT], check=False)
-            for process in Drive.running:
-                process.kill()
-            Drive.running.clear()
+        for number in range(1, again.TRIES + 1):
+            folder = out if number == 1 else out / f"try-{number}"
+            words, failure, stood_still = attempt(one, folder)
+            # Now, since the guest may be ended before the last check.
+            (out / "all-journal.log").write_text(run("journalctl", "-b"))
+            # As with the scenarios: a machine that stood still cannot judge, but nothing excuses a contact.
+            if not failure or not stood_still or any(map(again.touched, folder.iterdir())):
+                break
+            print(f"       the machine stood still in try {number}: {failure}", flush=True)
+        passed, failed = (passed, failed + 1) if failure else (passed + 1, failed)
+        word, title = "FAILED" if failure else "ok    ", one.__doc__.split("\n")[0]
         print(f"{word} {title} ({time.monotonic() - began:.0f} s)", flush=True)
-        if words:
-            print(f"       {words}", flush=True)
-    (out / "all-journal.log").write_text(run("journalctl", "-b"))
+        if failure or words:
+            print(f"       {failure or words}", flush=True)
     print(f"system: {passed} passed, {failed} failed", flush=True)
 
 
