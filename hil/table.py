@@ -29,16 +29,21 @@ COLUMNS = [
     ("jit99", ">6", lambda r: f"{r['daemon']['tick_jitter_ms']['p99']:.2f}"),
     ("cpu", ">5", lambda r: f"{r['daemon']['cpu']['mean']:.2f}"),
     ("wake99", ">6", lambda r: f"{r['wake_late_ms']['p99']:.2f}"),
-    ("stall", ">5", lambda r: f"{r['wake_late_ms']['max']:.0f}"),
+    ("stall", ">5", lambda r: f"{longest_stall_ms(r['wake_late_ms']):.0f}"),
     ("faults (s until raised)", "<", lambda r: faults(r["faults"])),
 ]
 LEGEND = (
     "clear: least distance to an obstacle; stop: from the first thing done to rest; ms, 99th "
     "percentile: plan: a planning step,\nact: last frame of a scan to the first setpoint of the plan "
     "made from it, jit: lateness of control ticks; cpu: cores, the daemon "
-    "alone; wake:\nlateness of a program that goes before all others; stall: the same at worst: the "
-    "machine itself did not run"
+    "alone; wake:\nlateness of a program that goes before all others; stall: the same at worst, in one go "
+    "or by several delays in a\nrow: the machine itself did not run"
 )
+
+
+def longest_stall_ms(late):
+    """Of one delay or of several in a row."""
+    return max([late["max"], *(late_ms for _, late_ms in late["stalls"])])
 
 
 def faults(raised):
@@ -62,8 +67,9 @@ def tell(failures):
 
 def stall(result):
     """The longest stall of the machine in words."""
-    longest = ((result or {}).get("wake_late_ms") or {}).get("max")
-    return "the machine stood still for " + (f"up to {longest:.0f} ms" if longest else "nobody knows how long")
+    late = (result or {}).get("wake_late_ms")
+    known = f"up to {longest_stall_ms(late):.0f} ms" if late else "nobody knows how long"
+    return f"the machine stood still for {known}"
 
 
 def main():

@@ -70,8 +70,8 @@ pub struct Insertion {
     pub newly_free: usize,
     /// Unknown cells that became occupied.
     pub newly_occupied: usize,
-    /// Cells that were free, or of which a quarter was, and became occupied: something was set down
-    /// in free space, and the plan under way must be certified again.
+    /// Cells that were free, or of which the quarter that was hit had been seen, and became occupied:
+    /// something was set down in free space, and the plan under way must be certified again.
     pub turned_occupied: usize,
     /// Why the scan was not used, if it was not.
     pub refused: Option<Refusal>,
@@ -151,8 +151,8 @@ impl Mapper {
     /// First every beam that ended on a surface marks the cell just behind that surface occupied,
     /// unless something known explains the hit: an occupied cell within `hit_tolerance_m`, or, if
     /// the hit lies in a free cell, an unknown cell that close behind it (which is marked instead).
-    /// A free cell turns occupied only where nothing explains the hit. A quarter that has been seen
-    /// counts as free here, whatever its cell counts as.
+    /// A free cell turns occupied only where nothing explains the hit. So does a cell of which the
+    /// quarter that was hit has been seen.
     ///
     /// Then an unknown cell becomes free if its square, less a rim of `free_tolerance_m`, lies
     /// inside the triangles spanned by neighbouring beams (see `fan`), and these stand at most half

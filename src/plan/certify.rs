@@ -41,7 +41,7 @@ tunables! {
 /// What a plan must keep to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Radius of the disc that must stay in known-free cells (car and margin), metres.
+    /// Radius of the disc that must stay in known-free space (car and margin), metres.
     pub radius_m: f64,
     /// Largest curvature, 1/m.
     pub curvature_max_pm: f64,
@@ -129,7 +129,7 @@ pub fn check_start(
 }
 
 /// Checks everything that makes a trajectory safe to drive to its end: the swept disc in known-free
-/// cells, rest at the end, smoothness, curvature, friction (exactly, between samples too), speed
+/// space, rest at the end, smoothness, curvature, friction (exactly, between samples too), speed
 /// and time.
 pub fn certify(
     trajectory: &Trajectory,
@@ -170,7 +170,7 @@ pub fn certify(
 }
 
 /// Checks again that the rest of a certified trajectory, from `from_time_s` seconds after its start
-/// on, lies in known-free cells: for when the map has changed under it.
+/// on, lies in known-free space: for when the map has changed under it.
 pub fn recertify(
     trajectory: &Trajectory,
     from_time_s: f64,

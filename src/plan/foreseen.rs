@@ -1,7 +1,7 @@
 //! The map with what is foreseen filled in beside the way: for certain, or likely enough.
 //!
-//! Shapes are fitted into this map, so that they lie right before the view opens. Certificates and
-//! stops know nothing of it.
+//! Shapes are fitted into this map, so that they lie right before the view opens. Certificates know
+//! nothing of it; nor do stops, but that they go by quarters of cells once anything has been filled in.
 
 use super::bubbles::ClearanceField;
 use crate::frames::Point;

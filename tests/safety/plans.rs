@@ -62,19 +62,27 @@ pub fn inspect(request: &PlanRequest, plan: &Plan, limits: &Limits) -> Findings 
     findings
 }
 
-/// P14: from where the plan stops, a turn of a quarter circle to one side is clear.
+/// P14: from where the plan stops, a turn of a quarter circle to one side is clear, at once or after
+/// going straight on for no more than its radius.
 fn escapes(request: &PlanRequest, plan: &Plan, limits: &Limits) -> bool {
     const STEPS: u32 = 40;
-    let stop = plan.trajectory.last().path;
-    let pose = Pose { position: stop.position, heading_rad: stop.heading_rad };
-    [1.0, -1.0].into_iter().any(|side| {
-        (0..=STEPS).all(|i| {
-            let turn_rad = 0.5 * PI * f64::from(i) / f64::from(STEPS);
-            let along_m = turn_rad / limits.curvature_max_pm;
-            let centre = pose.along_arc(along_m, side * turn_rad).position;
-            to_blocked_m(&request.grid, centre, limits.certified_m) >= limits.certified_m - 1e-4
+    const STEP_M: f64 = 0.02;
+    let is_clear = |pose: &Pose| {
+        to_blocked_m(&request.grid, pose.position, limits.certified_m) >= limits.certified_m - 1e-4
+    };
+    let turns_off = |pose: &Pose| {
+        [1.0, -1.0].into_iter().any(|side| {
+            (0..=STEPS).all(|i| {
+                let turn_rad = 0.5 * PI * f64::from(i) / f64::from(STEPS);
+                is_clear(&pose.along_arc(turn_rad / limits.curvature_max_pm, side * turn_rad))
+            })
         })
-    })
+    };
+    let stop = plan.trajectory.last().path;
+    let stop = Pose { position: stop.position, heading_rad: stop.heading_rad };
+    let steps = (1.0 / (limits.curvature_max_pm * STEP_M)) as u32;
+    let ahead = (0..=steps).map(|i| stop.along_arc(f64::from(i) * STEP_M, 0.0));
+    ahead.take_while(is_clear).any(|pose| turns_off(&pose))
 }
 
 /// P1.

@@ -157,9 +157,12 @@ impl Trial {
         params.plan.policy = self.policy;
         params.plan.reading = self.reading;
         params.speed.speed_max_mps = self.speed_mps;
-        // Harder than the default: shapes are fitted to what nobody is certain of.
-        params.foreseen.free_at_most = 0.2;
-        params.foreseen.occupied_at_least = 0.8;
+        // Harder than the default: at any speed shapes rely on whatever any predictor says, however
+        // unfamiliar the scene.
+        params.foreseen.free_at_most = 0.45;
+        params.foreseen.occupied_at_least = 0.55;
+        params.foreseen.familiarity_at_least = 0.0;
+        params.foreseen.network_speed_mps = f64::INFINITY;
         params
     }
 

@@ -84,12 +84,12 @@ impl Method {
 
 impl Method {
     /// The paper's method as its text can be read otherwise: by way of the frontiers, and with the
-    /// penalty on the search's heuristic. And with shapes fitted to what the network is nearly sure of.
+    /// penalty on the search's heuristic. And with shapes that rely on no network.
     pub fn variants() -> Vec<Self> {
         [
             "map-predictive+cnp:plan.reading=via-frontier",
             "map-predictive+cnp:search.penalty=literal",
-            "map-predictive+cnp:foreseen.free_at_most=0.2:foreseen.occupied_at_least=0.8",
+            "map-predictive+cnp:foreseen.free_at_most=0:foreseen.occupied_at_least=1",
         ]
         .map(|text| text.parse().expect("the names are well formed"))
         .into()

@@ -11,13 +11,13 @@
 //!   the wall: the car can go on along it.
 //! - *A run straight ahead* as long as the turning radius: in a passage too narrow for the arcs
 //!   (a door, a corridor) the car may stop as long as the passage is seen to go on.
-//! - *A turn-round* ([`turn_round`]): a chain of arcs to the same axis, facing back, or to a
+//! - *A turn-round*: a chain of arcs to the same axis, facing back, or to a
 //!   parallel one. After the former the car is never worse off than before, for the way that it came
 //!   is known free in either direction; after the latter it may face the next wall. Where plans stop
 //!   by default the car can turn back onto its very tracks ([`retreat`](crate::plan::search::retreat)).
 //!
-//! With [`Surfaces::OccupiedAndUnknown`] the arcs lie in space already seen: what they promise is
-//! kept whatever the unknown holds. With [`Surfaces::Occupied`] the unknown counts as free: stops
+//! With [`Surfaces::OccupiedAndUnknown`] and [`Surfaces::Unseen`] the arcs lie in space already seen:
+//! what they promise is kept whatever the unknown holds. With [`Surfaces::Occupied`] the unknown counts as free: stops
 //! may lie right at the frontier, and a wall just behind it can still catch the car.
 
 use std::f64::consts::FRAC_PI_2;

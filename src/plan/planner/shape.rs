@@ -74,9 +74,10 @@ impl Planner {
         }
     }
 
-    /// What stops and manoeuvres keep clear of. Up to the last quarter of a cell where shapes are
-    /// fitted into what is foreseen: they lie right before the view opens. Otherwise a car that drives
-    /// on to the edge of what it sees is too fast for what comes into view.
+    /// What stops and manoeuvres keep clear of. Up to the last quarter of a cell once shapes have been
+    /// fitted into what is foreseen: they lie right before the view opens. Not before, since a car that
+    /// drives on to the edge of what it sees is too fast for what comes into view; and for good, since
+    /// what a stop promises must be found again.
     pub(super) fn not_seen(&self) -> Surfaces {
         if self.foreseen.has_spoken() { Surfaces::Unseen } else { Surfaces::OccupiedAndUnknown }
     }

@@ -409,8 +409,13 @@ impl ManoeuvreSearch {
         }
         if let Some(state) = self.best_gain() {
             let path = self.path(state, None, params.step_m);
-            let rest_m = self.ends.last().map_or(0.0, |end| length_from(query.guide, end.index));
-            let left_m = self.states[state as usize].left_m + rest_m;
+            let State { pose, left_m, .. } = self.states[state as usize];
+            let left_m = self.ends.last().map_or(left_m, |end| {
+                let straight_m = (end.pose.position - pose.position).norm();
+                // A distance that stands for no way over the plane is no length.
+                let to_end_m = if left_m > 0.5 * FAR_M { straight_m } else { left_m };
+                to_end_m + length_from(query.guide, end.index)
+            });
             return Ok(Some(Manoeuvre { path, joins_at: None, left_m, expanded }));
         }
         let Point { coords } = pose.position;
