@@ -18,6 +18,8 @@ pub struct Limits {
     pub curvature_max_pm: f64,
     pub accel_mps2: f64,
     pub speed_max_mps: f64,
+    /// How far straight on the turn may begin by which the car gets away from a stop, metres.
+    pub turn_from_m: f64,
 }
 
 /// Rounding of positions and states that are the same number computed in two ways.
@@ -62,8 +64,8 @@ pub fn inspect(request: &PlanRequest, plan: &Plan, limits: &Limits) -> Findings 
     findings
 }
 
-/// P14: from where the plan stops, a turn of a quarter circle to one side is clear, at once or after
-/// going straight on for no more than its radius.
+/// P14: from where the plan stops, a turn of a quarter circle to one side is clear, at once or, where
+/// that is allowed, after going straight on.
 fn escapes(request: &PlanRequest, plan: &Plan, limits: &Limits) -> bool {
     const STEPS: u32 = 40;
     const STEP_M: f64 = 0.02;
@@ -80,7 +82,7 @@ fn escapes(request: &PlanRequest, plan: &Plan, limits: &Limits) -> bool {
     };
     let stop = plan.trajectory.last().path;
     let stop = Pose { position: stop.position, heading_rad: stop.heading_rad };
-    let steps = (1.0 / (limits.curvature_max_pm * STEP_M)) as u32;
+    let steps = (limits.turn_from_m / STEP_M) as u32;
     let ahead = (0..=steps).map(|i| stop.along_arc(f64::from(i) * STEP_M, 0.0));
     ahead.take_while(is_clear).any(|pose| turns_off(&pose))
 }

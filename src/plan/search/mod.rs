@@ -114,3 +114,26 @@ fn coarse_first(mut holds: impl FnMut(usize, usize) -> bool) -> bool {
 fn cell_at(p: Point, resolution_m: f64) -> CellIndex {
     CellIndex::new(floor_to_index(p.x / resolution_m), floor_to_index(p.y / resolution_m))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::coarse_first;
+
+    #[test]
+    fn coarse_first_asks_for_each_index_once_and_gives_up_where_one_fails() {
+        for count in 0..70 {
+            let mut asked = Vec::new();
+            assert!(coarse_first(|first, stride| {
+                asked.extend((first..count).step_by(stride));
+                true
+            }));
+            asked.sort_unstable();
+            assert!(asked.into_iter().eq(0..count));
+            for bad in 0..count {
+                assert!(!coarse_first(|first, stride| (first..count)
+                    .step_by(stride)
+                    .all(|i| i != bad)));
+            }
+        }
+    }
+}
