@@ -32,6 +32,12 @@ impl ForeseenParams {
         Self { free_at_most: 0.0, occupied_at_least: 1.0, ..self.clone() }
     }
 
+    /// Whether any answer of a view is relied on.
+    pub(super) fn rely_on(&self, view: &dyn OccupancyView) -> bool {
+        let (free_at_most, occupied_at_least) = self.limits(view);
+        free_at_most.is_some() || occupied_at_least.is_some()
+    }
+
     /// The answers of a view that are relied on: up to the first number free, from the second one on
     /// occupied; none where that asks for certainty and the view never is certain.
     fn limits(&self, view: &dyn OccupancyView) -> (Option<f64>, Option<f64>) {
@@ -108,10 +114,10 @@ impl Foreseen {
         horizon_m: f64,
         view: &mut dyn OccupancyView,
     ) {
-        let (free_at_most, occupied_at_least) = params.limits(view);
-        if free_at_most.is_none() && occupied_at_least.is_none() {
+        if !params.rely_on(view) {
             return;
         }
+        let (free_at_most, occupied_at_least) = params.limits(view);
         self.place_squares(known, way, horizon_m, view);
         if self.squares.is_empty() {
             return;

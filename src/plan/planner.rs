@@ -75,6 +75,8 @@ pub struct Planner {
     reliance: Reliance,
     /// What of this step's view shapes rely on.
     relied_on: ForeseenParams,
+    /// Whether shapes rely on any of it.
+    relies: bool,
     lethal: Vec<bool>,
     tight: Vec<bool>,
     /// What this step's guide aims at.
@@ -131,6 +133,7 @@ impl Planner {
             foreseen: Foreseen::new(FIELD_CAP_M),
             reliance: Reliance::default(),
             relied_on: ForeseenParams::default().of_certainty(),
+            relies: false,
             lethal: Vec::new(),
             tight: Vec::new(),
             aim: Aim::Anywhere,
@@ -212,6 +215,7 @@ impl Planner {
         let is_stuck = self.impasses.courage() != Courage::Proven || self.impasses.is_standing();
         let mut view = self.predictor.view(&self.clock);
         self.relied_on = self.reliance.judge(&self.params, is_stuck, &mut view);
+        self.relies = self.relied_on.rely_on(&view);
 
         let branches = self.branches(request);
         let here = branches[0];

@@ -24,7 +24,8 @@ mod tests;
 /// kept from the given start speed; the remaining 2 % cover what happens between the samples.
 pub const HARD_USE: f64 = 0.98;
 
-const SLOWEST_CAP_MPS: f64 = 1e-3;
+/// A speed cap is at least this, m/s: otherwise a path would take for ever.
+pub const SLOWEST_CAP_MPS: f64 = 1e-3;
 
 tunables! {
     /// How fast a path is driven.

@@ -2,7 +2,7 @@
 
 use super::lap::Lap;
 use super::shape::Candidate;
-use super::{Planner, SHORTEST_EDGE_M, SHORTEST_PLAN_M, StopRule};
+use super::{Planner, Policy, SHORTEST_EDGE_M, SHORTEST_PLAN_M, StopRule};
 use crate::frames::Pose;
 use crate::map::Grid;
 use crate::plan::certify::{
@@ -11,7 +11,7 @@ use crate::plan::certify::{
 };
 use crate::plan::impasse::Courage;
 use crate::plan::request::{Plan, PlanRequest, Rejection, StepTimes};
-use crate::plan::speed::{End, SpeedLimits, SpeedTask};
+use crate::plan::speed::{End, SLOWEST_CAP_MPS, SpeedLimits, SpeedTask};
 use crate::plan::{Path, PathPoint, Trajectory};
 
 /// So many ways on, one after the other, a bold stop must leave: one may end before a wall, two in
@@ -19,6 +19,19 @@ use crate::plan::{Path, PathPoint, Trajectory};
 pub(super) const WAYS_ON: u32 = 4;
 /// Deceleration towards a lower speed that was asked for, m/s^2.
 const SLOW_DOWN_MPS2: f64 = 2.0;
+
+/// For how long a plan could go on at each of its speeds before it had to brake for its stop.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Caution {
+    for_s: f64,
+    /// Up to this speed it need not.
+    above_mps: f64,
+}
+
+impl Caution {
+    /// Brakes at the last moment.
+    pub(super) const NONE: Self = Self { for_s: 0.0, above_mps: 0.0 };
+}
 
 impl Planner {
     /// The candidate's executable part with speeds and certificate.
@@ -33,13 +46,22 @@ impl Planner {
         let keep_m = self.keep_m();
         let seen = self.not_seen();
         let clear_m = clear_length_m(&request.grid, &path.points, keep_m, seen);
-        let stop_m = if candidate.reaches_goal && clear_m >= path.length_m() {
-            clear_m
+        let (stop_m, caution) = if candidate.reaches_goal && clear_m >= path.length_m() {
+            (clear_m, Caution::NONE)
         } else {
-            self.stop_m(&request.grid, path, clear_m)
+            (self.stop_m(&request.grid, path, clear_m), self.caution())
         };
         times.certify += lap.take(&self.clock);
-        self.finish(request, path, stop_m, times)
+        self.finish(request, path, stop_m, caution, times)
+    }
+
+    /// What a stop on the way asks for.
+    const fn caution(&self) -> Caution {
+        let plan = &self.params.plan;
+        if self.relies || matches!(plan.policy, Policy::KnownMap) {
+            return Caution::NONE;
+        }
+        Caution { for_s: plan.caution_s, above_mps: plan.caution_above_mps }
     }
 
     /// How near to the goal a path ends, metres.
@@ -98,6 +120,7 @@ impl Planner {
         request: &PlanRequest,
         path: &Path,
         stop_m: f64,
+        caution: Caution,
         times: &mut StepTimes,
     ) -> Result<Plan, Rejection> {
         let mut lap = Lap::new(&self.clock);
@@ -109,7 +132,8 @@ impl Planner {
         let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
         let taken_over = request.committed.trajectory.at(request.takes_over);
         let start_speed_mps = taken_over.speed_mps;
-        let caps = caps_mps(&executable.points, start_speed_mps, request.speed_cap_mps);
+        let wished = caps_mps(&executable.points, start_speed_mps, request.speed_cap_mps);
+        let caps = with_caution(&executable.points, &limits, caution, wished);
         let task = SpeedTask { start_speed_mps, end: End::Rest, caps_mps: caps.as_deref() };
         let mut points = Vec::new();
         self.profiler
@@ -143,4 +167,105 @@ fn caps_mps(path: &[PathPoint], start_speed_mps: f64, cap_mps: f64) -> Option<Ve
         left.max(0.0).sqrt().max(cap_mps)
     };
     cap_mps.is_finite().then(|| path.iter().map(cap).collect())
+}
+
+/// The caps lowered to where the car could still go on for as long as `caution` says before it brakes
+/// fully and comes to rest at the path's end.
+fn with_caution(
+    path: &[PathPoint],
+    limits: &SpeedLimits,
+    caution: Caution,
+    caps_mps: Option<Vec<f64>>,
+) -> Option<Vec<f64>> {
+    let Caution { for_s, above_mps } = caution;
+    if for_s <= 0.0 || above_mps >= limits.speed_max_mps {
+        return caps_mps;
+    }
+    let brake = limits.accel_limit_mps2.min(limits.brake_max_mps2);
+    let end_m = path.last()?.s_m;
+    let mut caps_mps = caps_mps.unwrap_or_else(|| vec![f64::INFINITY; path.len()]);
+    for (cap, p) in caps_mps.iter_mut().zip(path) {
+        // v for_s + v^2 / (2 brake) = what is left
+        let left_m = end_m - p.s_m;
+        let careful = brake * ((for_s * for_s + 2.0 * left_m / brake).sqrt() - for_s);
+        *cap = cap.min(careful.max(above_mps).max(SLOWEST_CAP_MPS));
+    }
+    Some(caps_mps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::speed::{SpeedParams, SpeedProfiler};
+    use crate::plan::test_paths::{hairpins, straight};
+    use crate::vehicle::VehicleParams;
+
+    fn limits() -> SpeedLimits {
+        let speed = SpeedParams { speed_max_mps: 8.0, ..SpeedParams::default() };
+        SpeedLimits::new(&speed, &VehicleParams::default())
+    }
+
+    const fn always(for_s: f64) -> Caution {
+        Caution { for_s, above_mps: 0.0 }
+    }
+
+    /// Metres that are left at each sample after going on for as long as that and braking fully.
+    fn spare_m(path: &Path, limits: &SpeedLimits, caution: Caution, start_mps: f64) -> Vec<f64> {
+        let caps = with_caution(&path.points, limits, caution, None);
+        let task =
+            SpeedTask { start_speed_mps: start_mps, end: End::Rest, caps_mps: caps.as_deref() };
+        let mut driven = Vec::new();
+        SpeedProfiler::new().profile(&path.points, limits, &task, &mut driven).unwrap();
+        let needed_m = |v: f64| v * caution.for_s + v * v / (2.0 * limits.accel_limit_mps2);
+        driven.iter().map(|p| path.length_m() - p.path.s_m - needed_m(p.speed_mps)).collect()
+    }
+
+    #[test]
+    fn a_cautious_plan_could_go_on_for_a_while_before_it_had_to_brake() {
+        let at = Pose::new(0.0, 0.0, 0.0);
+        for path in [straight(at, 7.0, 0.05), hairpins(at, 9.0, 1.6, 0.05)] {
+            let spare_m = spare_m(&path, &limits(), always(0.3), 2.0);
+            assert!(spare_m.iter().all(|spare_m| *spare_m >= -1e-3), "{spare_m:?}");
+            // And no slower than that: somewhere nothing is spare.
+            let moving = &spare_m[..spare_m.len() - 4];
+            assert!(moving.iter().any(|spare_m| *spare_m < 1e-3), "{spare_m:?}");
+        }
+    }
+
+    #[test]
+    fn a_car_that_is_too_fast_for_caution_brakes_until_it_is_cautious() {
+        // 4.2 m at full braking from 8 m/s, with 1.2 m of caution before.
+        let path = straight(Pose::new(0.0, 0.0, 0.0), 5.0, 0.05);
+        let spare_m = spare_m(&path, &limits(), always(0.15), 8.0);
+        assert!(spare_m[0] < 0.0, "{spare_m:?}");
+        let cautious = spare_m.iter().position(|spare_m| *spare_m >= -1e-3).unwrap();
+        assert!(cautious < spare_m.len() - 4, "{spare_m:?}");
+        assert!(spare_m[cautious..].iter().all(|spare_m| *spare_m >= -1e-3), "{spare_m:?}");
+    }
+
+    #[test]
+    fn caution_lowers_the_caps_that_are_asked_for_and_raises_none() {
+        let path = straight(Pose::new(0.0, 0.0, 0.0), 6.0, 0.05).points;
+        let asked: Vec<f64> = path.iter().map(|p| 1.0 + p.s_m).collect();
+        assert_eq!(with_caution(&path, &limits(), Caution::NONE, None), None);
+        assert_eq!(
+            with_caution(&path, &limits(), Caution::NONE, Some(asked.clone())),
+            Some(asked.clone())
+        );
+        let alone = with_caution(&path, &limits(), always(0.2), None).unwrap();
+        let both = with_caution(&path, &limits(), always(0.2), Some(asked.clone())).unwrap();
+        for ((both, alone), asked) in both.iter().zip(&alone).zip(&asked) {
+            assert_eq!(*both, alone.min(*asked));
+        }
+        // A slow car needs none.
+        let slow = with_caution(&path, &limits(), Caution { for_s: 0.2, above_mps: 4.0 }, None);
+        for (slow, alone) in slow.unwrap().iter().zip(&alone) {
+            assert_eq!(*slow, alone.max(4.0));
+        }
+        let never = Caution { for_s: 0.2, above_mps: 8.0 };
+        assert_eq!(with_caution(&path, &limits(), never, None), None);
+        // Weaker brakes ask for more room.
+        let weak = SpeedLimits { brake_max_mps2: 3.0, ..limits() };
+        assert!(with_caution(&path, &weak, always(0.2), None).unwrap()[0] < alone[0]);
+    }
 }

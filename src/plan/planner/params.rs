@@ -69,6 +69,14 @@ tunables! {
         wall_room_m: f64 = 0.05, live, in 0.0..=1.0, "m";
         /// What a stop must leave room for.
         stop_rule: StopRule = StopRule::TurnRound, live, one of;
+        /// How long a plan could go on at each of its speeds before it had to brake for its stop, where
+        /// shapes rely on nothing foreseen: a car that brakes as hard as it can has nothing left to
+        /// turn with when a view opens to the side. A stop at the goal and the policy known-map ask
+        /// for none.
+        caution_s: f64 = 0.15, live, in 0.0..=2.0, "s";
+        /// Up to this speed no plan is cautious: a car this slow gets round most corners anyway, and
+        /// one in tight places must get on.
+        caution_above_mps: f64 = 4.0, live, in 0.0..=20.0, "m/s";
         /// Plans end this far inside the goal disc.
         goal_depth_m: f64 = 0.1, live, in 0.0..=1.0, "m";
     }

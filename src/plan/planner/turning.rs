@@ -1,7 +1,7 @@
 //! Turning round: where a plan may stop so that the car can, and doing so where nothing else is
 //! left.
 
-use super::executable::WAYS_ON;
+use super::executable::{Caution, WAYS_ON};
 use super::exits::Aim;
 use super::shape::Candidate;
 use super::ways::{aside_rad, leaves_heading, with_transitions};
@@ -216,7 +216,7 @@ impl Planner {
         };
         let (arc, _) = (0..=WAYS_ON).rev().find_map(best_of)?;
         let path = arcs_path(here.pose(), &[(arc.curvature_pm, arc.length_m)]);
-        self.finish(request, &path, path.length_m(), times).ok()
+        self.finish(request, &path, path.length_m(), Caution::NONE, times).ok()
     }
 
     /// The beginning of a manoeuvre onto the guide through space that is not known to be taken, as far
@@ -237,7 +237,7 @@ impl Planner {
         if seen_m < GLIMPSE_M {
             return None;
         }
-        self.finish(request, &path, seen_m, times).ok()
+        self.finish(request, &path, seen_m, Caution::NONE, times).ok()
     }
 
     /// A standing car's manoeuvre onto the guide, clear of these, as tight as it can.
@@ -300,7 +300,7 @@ impl Planner {
         let behind = self.tracks.behind(&[], &here.point);
         let path = retreat(&room, here.pose(), &behind, self.params.vehicle.turn_radius_m)?;
         let path: Path = with_transitions(&path);
-        self.finish(request, &path, path.length_m(), times).ok()
+        self.finish(request, &path, path.length_m(), Caution::NONE, times).ok()
     }
 }
 
