@@ -153,6 +153,28 @@ fn a_guide_that_is_unknown_at_once_still_gives_a_direction() {
     assert!(end.heading_rad.abs() > 2.0 || end.heading_rad < 0.0, "turned about: {end:?}");
 }
 
+/// A slit too narrow for the squares of the plane, askew, and a nook at its end.
+struct Slit;
+
+impl Room for Slit {
+    fn fits(&self, c: Point) -> bool {
+        let slit = (-0.05..1.3).contains(&c.x) && (c.y - 0.4 * c.x).abs() < 0.03;
+        slit || ((1.2..1.6).contains(&c.x) && (0.3..0.9).contains(&c.y))
+    }
+}
+
+#[test]
+fn a_way_that_the_plane_does_not_know_is_no_hundred_metres_long() {
+    // The guide comes to the nook another way, and the car cannot turn there.
+    let around = guide(&[(0.0, 0.0), (0.0, 1.2), (1.4, 0.8), (1.4, -3.0)], 100.0);
+    let query = query(Pose::new(0.0, 0.0, 0.4_f64.atan()), &around);
+    let found = find(&Slit, &query).unwrap().expect("the guide leads aside");
+    check(&Slit, &query, &found);
+    assert_eq!(found.joins_at, None);
+    assert!(found.path.length_m() > 0.5, "it goes on to the nook");
+    assert!((3.0..6.0).contains(&found.left_m), "{} m", found.left_m);
+}
+
 #[test]
 fn at_speed_the_first_turn_is_no_tighter_than_the_tyres_hold() {
     let room = Boxes(vec![[-3.0, -6.0, 8.0, 6.0]]);
