@@ -33,7 +33,7 @@ impl ForeseenParams {
     }
 
     /// Whether any answer of a view is relied on.
-    pub(super) fn rely_on(&self, view: &dyn OccupancyView) -> bool {
+    pub(super) fn rely_on_any_of(&self, view: &dyn OccupancyView) -> bool {
         let (free_at_most, occupied_at_least) = self.limits(view);
         free_at_most.is_some() || occupied_at_least.is_some()
     }
@@ -114,7 +114,7 @@ impl Foreseen {
         horizon_m: f64,
         view: &mut dyn OccupancyView,
     ) {
-        if !params.rely_on(view) {
+        if !params.rely_on_any_of(view) {
             return;
         }
         let (free_at_most, occupied_at_least) = params.limits(view);

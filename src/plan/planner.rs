@@ -215,7 +215,7 @@ impl Planner {
         let is_stuck = self.impasses.courage() != Courage::Proven || self.impasses.is_standing();
         let mut view = self.predictor.view(&self.clock);
         self.relied_on = self.reliance.judge(&self.params, is_stuck, &mut view);
-        self.relies = self.relied_on.rely_on(&view);
+        self.relies = self.relied_on.rely_on_any_of(&view);
 
         let branches = self.branches(request);
         let here = branches[0];

@@ -195,9 +195,15 @@ fn with_caution(
 
 #[cfg(test)]
 mod tests {
+    use super::super::exits::tests::{fill, planner, request};
     use super::*;
+    use crate::frames::Point;
+    use crate::map::Cell;
+    use crate::plan::TrajectoryPoint;
+    use crate::plan::request::{Planning, Verdict};
     use crate::plan::speed::{SpeedParams, SpeedProfiler};
     use crate::plan::test_paths::{hairpins, straight};
+    use crate::predict::NoPrediction;
     use crate::vehicle::VehicleParams;
 
     fn limits() -> SpeedLimits {
@@ -216,8 +222,50 @@ mod tests {
             SpeedTask { start_speed_mps: start_mps, end: End::Rest, caps_mps: caps.as_deref() };
         let mut driven = Vec::new();
         SpeedProfiler::new().profile(&path.points, limits, &task, &mut driven).unwrap();
-        let needed_m = |v: f64| v * caution.for_s + v * v / (2.0 * limits.accel_limit_mps2);
-        driven.iter().map(|p| path.length_m() - p.path.s_m - needed_m(p.speed_mps)).collect()
+        spare_of(&driven, limits, caution.for_s)
+    }
+
+    fn spare_of(driven: &[TrajectoryPoint], limits: &SpeedLimits, for_s: f64) -> Vec<f64> {
+        let end_m = driven.last().unwrap().path.s_m;
+        let needed_m = |v: f64| v * for_s + v * v / (2.0 * limits.accel_limit_mps2);
+        driven.iter().map(|p| end_m - p.path.s_m - needed_m(p.speed_mps)).collect()
+    }
+
+    /// The least that is spare above 4 m/s in the plan of a car that stands at one end of a hall whose
+    /// other end it has not seen, with 0.15 s of caution.
+    fn spare_in_hall_m(change: impl Fn(&mut Planner)) -> f64 {
+        let mut grid = Grid::new(0.1);
+        fill(&mut grid, -1..141, -1..41, Cell::Occupied);
+        fill(&mut grid, 0..140, 0..40, Cell::Unknown);
+        fill(&mut grid, 0..100, 0..40, Cell::Free);
+        let ask = request(grid, Pose::new(1.0, 2.0, 0.0), Point::new(13.5, 2.0));
+        let mut planner = planner(Policy::MapPredictive, Box::new(NoPrediction));
+        planner.params.speed.speed_max_mps = 8.0;
+        change(&mut planner);
+        let Verdict::Plan(plan) = planner.step(&ask).verdict else { panic!("no plan") };
+        let limits = SpeedLimits::new(&planner.params.speed, &planner.params.vehicle);
+        let driven = &plan.trajectory.points;
+        let fast = driven.iter().zip(spare_of(driven, &limits, 0.15));
+        let fast: Vec<f64> =
+            fast.filter(|(p, _)| p.speed_mps > 4.001).map(|(_, spare_m)| spare_m).collect();
+        assert!(fast.len() > 20, "{} fast samples", fast.len());
+        fast.into_iter().fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn plans_into_the_unseen_are_cautious_and_others_are_not() {
+        assert!(spare_in_hall_m(|_| {}) >= -1e-3);
+        assert!(spare_in_hall_m(|planner| planner.params.plan.caution_s = 0.0) < -0.1);
+        assert!(spare_in_hall_m(|planner| planner.params.plan.caution_above_mps = 8.0) < -0.1);
+        assert!(spare_in_hall_m(|planner| planner.params.plan.policy = Policy::KnownMap) < -0.1);
+    }
+
+    #[test]
+    fn a_planner_whose_shapes_rely_on_something_foreseen_is_not_cautious() {
+        let mut planner = planner(Policy::MapPredictive, Box::new(NoPrediction));
+        assert_eq!(planner.caution().for_s, 0.15);
+        planner.relies = true;
+        assert_eq!(planner.caution().for_s, 0.0);
     }
 
     #[test]
