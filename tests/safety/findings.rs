@@ -13,7 +13,7 @@
 //! | P10 | nothing of the imagined rest of the way is among what is executed |
 //! | P11 | what is driven was certified, or is what was driven before, still clear in the newest map |
 //! | P12 | knowledge only grows; free cells are free in truth |
-//! | P14 | the plan of a moving car stops in the goal, or where a quarter turn to one side is clear; with random numbers for a prediction also within its radius straight on (the product asks for more: a way back) |
+//! | P14 | the plan of a moving car stops in the goal, or where a quarter turn to one side is clear, or a turn back that swings out to the other side first (the product asks for more: a way onto its tracks) |
 //!
 //! | rule | at every simulated millisecond |
 //! |---|---|

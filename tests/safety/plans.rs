@@ -18,8 +18,6 @@ pub struct Limits {
     pub curvature_max_pm: f64,
     pub accel_mps2: f64,
     pub speed_max_mps: f64,
-    /// How far straight on the turn may begin by which the car gets away from a stop, metres.
-    pub turn_from_m: f64,
 }
 
 /// Rounding of positions and states that are the same number computed in two ways.
@@ -64,27 +62,30 @@ pub fn inspect(request: &PlanRequest, plan: &Plan, limits: &Limits) -> Findings 
     findings
 }
 
-/// P14: from where the plan stops, a turn of a quarter circle to one side is clear, at once or, where
-/// that is allowed, after going straight on.
+/// P14: from where the plan stops, the car can turn off by a quarter circle to one side; or turn back,
+/// if it swings out to the other side first, by a quarter circle at most.
 fn escapes(request: &PlanRequest, plan: &Plan, limits: &Limits) -> bool {
-    const STEPS: u32 = 40;
-    const STEP_M: f64 = 0.02;
+    const STEP_RAD: f64 = 0.5 * PI / 40.0;
     let is_clear = |pose: &Pose| {
         to_blocked_m(&request.grid, pose.position, limits.certified_m) >= limits.certified_m - 1e-4
     };
-    let turns_off = |pose: &Pose| {
-        [1.0, -1.0].into_iter().any(|side| {
-            (0..=STEPS).all(|i| {
-                let turn_rad = 0.5 * PI * f64::from(i) / f64::from(STEPS);
-                is_clear(&pose.along_arc(turn_rad / limits.curvature_max_pm, side * turn_rad))
-            })
-        })
+    // The poses after each step of a turn as tight as can be, as long as they are clear.
+    let turn = |from: Pose, side: f64, steps: u32| {
+        let turned = move |i| f64::from(i) * STEP_RAD;
+        (0..=steps)
+            .map(move |i| from.along_arc(turned(i) / limits.curvature_max_pm, side * turned(i)))
+            .take_while(is_clear)
     };
+    let is_whole =
+        |from: Pose, side: f64, steps: u32| turn(from, side, steps).count() > steps as usize;
     let stop = plan.trajectory.last().path;
     let stop = Pose { position: stop.position, heading_rad: stop.heading_rad };
-    let steps = (limits.turn_from_m / STEP_M) as u32;
-    let ahead = (0..=steps).map(|i| stop.along_arc(f64::from(i) * STEP_M, 0.0));
-    ahead.take_while(is_clear).any(|pose| turns_off(&pose))
+    [1.0, -1.0].into_iter().any(|side| {
+        is_whole(stop, side, 40)
+            || (0..)
+                .zip(turn(stop, -side, 40))
+                .any(|(swung, from)| is_whole(from, side, 80 + swung))
+    })
 }
 
 /// P1.

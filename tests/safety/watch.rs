@@ -9,7 +9,6 @@ use apexd::frames::{Pose, Vector, heading_vector, wrap_angle};
 use apexd::map::{Cell, CellIndex, Grid};
 use apexd::plan::certify::CertifyParams;
 use apexd::plan::{Plan, PlanRequest, StepReport, Trajectory, Verdict};
-use apexd::predict::PredictorKind;
 use apexd::sim::car::CarState;
 use apexd::sim::drive::Outcome;
 use apexd::sim::rig::Rig;
@@ -74,13 +73,6 @@ impl Watch {
                 curvature_max_pm: 1.0 / vehicle.turn_radius_m,
                 accel_mps2: vehicle.friction * 9.81,
                 speed_max_mps: trial.speed_mps,
-                // Shapes that rely on random numbers end nose-on to walls that are none; the way back
-                // that the product promises there begins straight on.
-                turn_from_m: if trial.predictor == PredictorKind::Random {
-                    vehicle.turn_radius_m
-                } else {
-                    0.0
-                },
             },
             scan_period_s: 1.0 / trial.lidar_hz,
             latency_s: trial.latency_s,
