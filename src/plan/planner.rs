@@ -143,7 +143,7 @@ impl Planner {
             tracks: turning::Tracks::default(),
             wandering: Wandering::default(),
             guide: GuideSearch::new(),
-            manoeuvre: ManoeuvreSearch::new(),
+            manoeuvre: ManoeuvreSearch::default(),
             frontiers: FrontierFinder::default(),
             smoother: Smoother::default(),
             profiler: SpeedProfiler::new(),

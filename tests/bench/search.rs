@@ -141,7 +141,7 @@ fn manoeuvre(c: &mut Criterion) {
             acceleration_limit_mps2: 8.829,
         };
         let params = ManoeuvreParams::default();
-        let mut search = ManoeuvreSearch::new();
+        let mut search = ManoeuvreSearch::default();
         match search.find(&room, &query, &params) {
             Ok(Some(found)) => eprintln!(
                 "{name}: {} expanded, {:.2} m, joins at {:?}",

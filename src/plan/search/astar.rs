@@ -150,7 +150,7 @@ impl GuideSearch {
             parents: Vec::new(),
             written: Vec::new(),
             closed: Vec::new(),
-            queue: Buckets::new(),
+            queue: Buckets::default(),
             heap: BinaryHeap::new(),
             block: Block::default(),
             puller: Puller::default(),

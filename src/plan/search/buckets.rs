@@ -15,7 +15,9 @@ struct Entry {
 /// heuristic runs straight to its goal).
 ///
 /// Keys never fall below the last one popped and never exceed it by [`SPAN`] or more. Push and pop
-/// take constant time: two levels of bit sets find the next list that is not empty.
+/// take constant time: two levels of bit sets find the next list that is not empty. A new queue is to
+/// be reset before its first use, which is when it gets its memory.
+#[derive(Default)]
 pub(super) struct Buckets {
     heads: Vec<u32>,
     /// Bit `b` of word `w`: list `64 w + b` is not empty.
@@ -29,20 +31,10 @@ pub(super) struct Buckets {
 }
 
 impl Buckets {
-    pub(super) fn new() -> Self {
-        Self {
-            heads: vec![END; SPAN],
-            occupied: vec![0; WORDS],
-            summary: [0; WORDS / 64],
-            entries: Vec::new(),
-            free: END,
-            cursor: 0,
-            len: 0,
-        }
-    }
-
     /// Empties the queue; keys start at `key`.
     pub(super) fn reset(&mut self, key: u32) {
+        self.heads.resize(SPAN, END);
+        self.occupied.resize(WORDS, 0);
         for top in 0..self.summary.len() {
             while self.summary[top] != 0 {
                 let word = top * 64 + self.summary[top].trailing_zeros() as usize;
@@ -136,7 +128,7 @@ mod tests {
     #[test]
     fn keys_leave_in_order_and_equal_keys_last_in_first_out() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
-        let mut queue = Buckets::new();
+        let mut queue = Buckets::default();
         for round in 0..20 {
             let mut model: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
             let mut low = rng.random_range(0..200_000);

@@ -4,17 +4,23 @@
 //! A hybrid A* (Dolgov et al. 2010) over `(x, y, heading)`: states are expanded by short arcs, and
 //! from each state the shortest way of a forward-only car onto the guide is tried directly.
 
+mod arcs;
+mod field;
+mod room;
+
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use super::buckets::Buckets;
+pub use room::{MaskRoom, Room};
+
+use super::Guide;
 use super::dubins::{self, Dubins};
-use super::window::{DIAGONAL, STRAIGHT};
-use super::{Guide, cell_at, coarse_first};
-use crate::frames::{Point, Pose, Vector, chord_m};
-use crate::map::CellRect;
+use crate::frames::{Point, Pose, Vector};
 use crate::plan::{Path, PathPoint};
 use crate::tunables;
+use arcs::{Arc, Turning, parts_of};
+use field::{FAR_M, Field, Lattice};
+use room::Ground;
 
 tunables! {
     /// The search for a drivable start where the guide leaves the car's heading.
@@ -34,35 +40,6 @@ tunables! {
         /// States that are expanded before the search near the car gives up; as many again are
         /// then spent on a wider one.
         effort: u32 = 4000, live, in 100..=100000, "";
-    }
-}
-
-/// Where the car's disc has room, as far as is known.
-pub trait Room {
-    /// Whether the disc with its centre there lies wholly in known-free space.
-    fn fits(&self, centre: Point) -> bool;
-}
-
-/// Room looked up in a mask over cells; outside the bounds there is none.
-#[derive(Clone, Copy, Debug)]
-pub struct MaskRoom<'a> {
-    /// Side of a cell, metres.
-    pub resolution_m: f64,
-    /// The cells of the mask.
-    pub bounds: CellRect,
-    /// Whether something occupied or unknown is closer to the cell than the disc's radius; row by
-    /// row from `bounds.y0`, each row from `bounds.x0`.
-    pub blocked: &'a [bool],
-}
-
-impl Room for MaskRoom<'_> {
-    #[inline]
-    fn fits(&self, centre: Point) -> bool {
-        let c = cell_at(centre, self.resolution_m);
-        self.bounds.contains(c) && {
-            let row = (c.iy - self.bounds.y0) as usize * self.bounds.width();
-            !self.blocked[row + (c.ix - self.bounds.x0) as usize]
-        }
     }
 }
 
@@ -112,13 +89,6 @@ pub struct NoManoeuvre {
     pub expanded: usize,
 }
 
-/// Distance between two samples of the result, and between two looks at the room, metres.
-const SAMPLE_M: f64 = 0.05;
-/// States in the same square of this side and the same of [`HEADINGS`] sectors are one, metres.
-const LATTICE_M: f64 = 0.1;
-const HEADINGS: usize = 48;
-/// A car that stands where its disc does not fit by the mask (rounding) may leave that spot.
-const LEAVE_M: f64 = 0.15;
 /// Share of the steering's largest curvature where a lesser one has led nowhere.
 const LAST_RESORT_SHARE: f64 = 0.99;
 /// A way found is taken when nothing better than this factor can be left.
@@ -129,10 +99,6 @@ const GAIN_MIN_M: f64 = 0.2;
 const ENDS: usize = 4;
 /// The nearest point of the guide that is worth joining, metres.
 const NEAREST_END_M: f64 = 0.3;
-/// Unit of the distances over the plane, metres.
-const FIELD_UNIT_M: f64 = LATTICE_M / STRAIGHT as f64;
-/// Distance to go where the plane leads nowhere, metres.
-const FAR_M: f64 = 100.0;
 const NONE: u32 = u32::MAX;
 
 /// A pose on the guide.
@@ -174,6 +140,7 @@ struct Level {
 }
 
 /// The search for a manoeuvre. Holds its working memory.
+#[derive(Default)]
 pub struct ManoeuvreSearch {
     ends: Vec<End>,
     /// Points of the guide where the disc fits: index, distance along the guide.
@@ -186,142 +153,7 @@ pub struct ManoeuvreSearch {
     /// Length in all, order of pushing, state, whether its estimate is the full one.
     heap: BinaryHeap<(Reverse<u32>, u32, u32, bool)>,
     heap_order: u32,
-    /// Distance to go over the plane per square, in the grid search's units of cost; empty where
-    /// there is only a direction.
-    field: Vec<u32>,
-    open: Vec<bool>,
-    field_queue: Buckets,
-}
-
-impl Default for ManoeuvreSearch {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// The lattice around the car.
-#[derive(Clone, Copy)]
-struct Lattice {
-    origin: Point,
-    half: i32,
-}
-
-impl Lattice {
-    fn side(&self) -> usize {
-        2 * self.half as usize + 1
-    }
-
-    fn square(&self, p: Point) -> Option<usize> {
-        let q = (p - self.origin) / LATTICE_M;
-        let (x, y) = (q.x.round() as i32 + self.half, q.y.round() as i32 + self.half);
-        let side = self.side() as i32;
-        (x >= 0 && y >= 0 && x < side && y < side).then(|| y as usize * self.side() + x as usize)
-    }
-
-    fn slot(&self, pose: Pose) -> Option<u32> {
-        let sector = (pose.heading_rad / std::f64::consts::TAU * HEADINGS as f64).round() as i32;
-        let sector = sector.rem_euclid(HEADINGS as i32) as usize;
-        self.square(pose.position).map(|square| (square * HEADINGS + sector) as u32)
-    }
-}
-
-/// How tight the car may turn after some distance, braking with half of what the tyres transmit.
-#[derive(Clone, Copy)]
-struct Turning {
-    curvature_pm: f64,
-    v2: f64,
-    acceleration: f64,
-}
-
-impl Turning {
-    fn at(&self, s_m: f64) -> f64 {
-        let v2 = self.v2 - self.acceleration * s_m;
-        if v2 <= 0.0 {
-            return self.curvature_pm;
-        }
-        // sqrt(1 - 0.5^2) of the circle is left for turning; a tenth of that stays unused.
-        self.curvature_pm.min(0.78 * self.acceleration / v2)
-    }
-}
-
-struct Ground<'a, R> {
-    room: &'a R,
-    start: Point,
-    start_fits: bool,
-}
-
-impl<R: Room> Ground<'_, R> {
-    fn open(&self, p: Point) -> bool {
-        self.room.fits(p) || (!self.start_fits && (p - self.start).norm() <= LEAVE_M)
-    }
-
-    /// Whether the disc fits all along an arc that ends at `end`.
-    fn is_open_along(&self, from: Pose, arc: &Arc, end: Pose) -> bool {
-        let mut within = arc.within.iter().map(|p| from.along_chord(p.chord_m, p.turn_rad));
-        self.open(end.position) && within.all(|pose| self.open(pose.position))
-    }
-
-    /// Whether the disc fits all along a way. Where it is blocked is met soonest by looking at a few
-    /// places all over it first: most ways that are tried are blocked.
-    fn drive_all(&self, from: Pose, way: &Dubins) -> bool {
-        let mut begin = from;
-        let pieces = way.pieces.map(|(curvature_pm, length_m)| {
-            let parts = if length_m > 1e-9 { parts_of(length_m) } else { 0.0 };
-            let piece = (begin, curvature_pm, length_m, parts);
-            if parts > 0.0 {
-                begin = begin.along_arc(length_m, curvature_pm * length_m);
-            }
-            piece
-        });
-        coarse_first(|first, stride| {
-            pieces.iter().all(|(begin, curvature_pm, length_m, parts)| {
-                let mut samples = (first + 1..=*parts as usize).step_by(stride);
-                samples.all(|i| {
-                    let s = length_m * i as f64 / parts;
-                    self.open(begin.along_arc(s, curvature_pm * s).position)
-                })
-            })
-        })
-    }
-}
-
-/// The beginning of an arc, or all of it, seen from where it begins.
-#[derive(Clone, Copy)]
-struct Piece {
-    chord_m: f64,
-    turn_rad: f64,
-}
-
-/// An arc that states are expanded by.
-struct Arc {
-    curvature_pm: f64,
-    whole: Piece,
-    /// As far as each look at the room before its end.
-    within: Vec<Piece>,
-}
-
-impl Arc {
-    fn new(curvature_pm: f64, length_m: f64) -> Self {
-        let parts = parts_of(length_m);
-        let pieces = (1..=parts as u32).map(|i| {
-            let s = length_m * f64::from(i) / parts;
-            let turn_rad = curvature_pm * s;
-            Piece { chord_m: chord_m(s, turn_rad), turn_rad }
-        });
-        let mut within: Vec<_> = pieces.collect();
-        let whole = within.pop().expect("an arc has at least one part");
-        Self { curvature_pm, whole, within }
-    }
-
-    /// The arcs from a state, the tightest of them given.
-    fn fan(tightest_pm: f64, length_m: f64) -> [Self; 5] {
-        [0.0, 0.5, -0.5, 1.0, -1.0].map(|share| Self::new(share * tightest_pm, length_m))
-    }
-}
-
-/// In how many parts an arc is looked at.
-fn parts_of(length_m: f64) -> f64 {
-    (length_m / SAMPLE_M - 1e-9).ceil().max(1.0)
+    field: Field,
 }
 
 /// A way onto the guide.
@@ -332,22 +164,6 @@ struct Joined {
 }
 
 impl ManoeuvreSearch {
-    /// A search without memory yet.
-    pub fn new() -> Self {
-        Self {
-            ends: Vec::new(),
-            fitting: Vec::new(),
-            states: Vec::new(),
-            slots: Vec::new(),
-            generation: 0,
-            heap: BinaryHeap::new(),
-            heap_order: 0,
-            field: Vec::new(),
-            open: Vec::new(),
-            field_queue: Buckets::new(),
-        }
-    }
-
     /// A drivable start onto the guide, or `None` where the guide starts out in the car's heading
     /// and none is needed.
     ///
@@ -383,7 +199,7 @@ impl ManoeuvreSearch {
             curvature_share: params.curvature_share.max(LAST_RESORT_SHARE),
             keeps_direction: true,
         };
-        let ground = Ground { room, start: pose.position, start_fits: room.fits(pose.position) };
+        let ground = Ground::new(room, pose.position);
         let mut expanded = 0;
         for level in [near, wide] {
             if !self.choose_ends(room, query.guide, &level) {
@@ -471,12 +287,16 @@ impl ManoeuvreSearch {
         level: &Level,
         step_m: f64,
     ) -> (Option<Joined>, usize) {
-        let lattice =
-            Lattice { origin: start.position, half: (level.window_m / LATTICE_M).ceil() as i32 };
-        self.spread(ground, lattice);
-        self.begin(lattice);
+        let lattice = Lattice::around(start.position, level.window_m);
+        if self.ends.iter().any(|end| end.fits) {
+            let ends = self.ends.iter().map(|end| (end.pose.position, end.rest_m));
+            self.field.spread(ground, lattice, ends);
+        } else {
+            self.field.clear();
+        }
+        self.begin(lattice.slots());
         let slot = lattice.slot(start).expect("the start is the middle of the lattice");
-        let left = self.left_over_plane(lattice, start.position);
+        let left = self.field.left_m(lattice, start.position);
         self.add(State {
             pose: start,
             s_m: 0.0,
@@ -531,8 +351,7 @@ impl ManoeuvreSearch {
                 }
                 self.states[id as usize].leads_on = true;
                 let Some(slot) = slot else { continue };
-                let left_m =
-                    self.left_over_plane(lattice, pose.position).max(state.left_m - step_m);
+                let left_m = self.field.left_m(lattice, pose.position).max(state.left_m - step_m);
                 self.add(State {
                     pose,
                     s_m,
@@ -548,8 +367,7 @@ impl ManoeuvreSearch {
         (best, expanded)
     }
 
-    fn begin(&mut self, lattice: Lattice) {
-        let slots = lattice.side() * lattice.side() * HEADINGS;
+    fn begin(&mut self, slots: usize) {
         if self.slots.len() < slots {
             self.slots.resize(slots, (0, 0.0));
         }
@@ -600,74 +418,6 @@ impl ManoeuvreSearch {
             }
         }
         least
-    }
-
-    /// Distances to go over the plane (8-connected squares, turning apart), outwards from the ends.
-    fn spread<R: Room>(&mut self, ground: &Ground<'_, R>, lattice: Lattice) {
-        let side = lattice.side();
-        self.field.clear();
-        if !self.ends.iter().any(|end| end.fits) {
-            return;
-        }
-        self.field.resize(side * side, u32::MAX);
-        self.open.clear();
-        for y in 0..side {
-            for x in 0..side {
-                let offset = |i: usize| (i as f64 - f64::from(lattice.half)) * LATTICE_M;
-                let p = lattice.origin + Vector::new(offset(x), offset(y));
-                // The rim stays closed, so that no step leaves the array.
-                let rim = x == 0 || y == 0 || x + 1 == side || y + 1 == side;
-                self.open.push(!rim && ground.open(p));
-            }
-        }
-        self.field_queue.reset(0);
-        for end in &self.ends {
-            // An end on the rim would let a step leave the array.
-            let square = lattice.square(end.pose.position).filter(|square| self.open[*square]);
-            let Some(square) = square else { continue };
-            let rest = (end.rest_m / FIELD_UNIT_M).round() as u32;
-            if rest < self.field[square] {
-                self.field[square] = rest;
-                self.field_queue.push(rest, square as u32);
-            }
-        }
-        let row = side as isize;
-        let straight = [1, -1, row, -row].map(|step| (step, STRAIGHT));
-        let diagonal = [row + 1, row - 1, 1 - row, -1 - row].map(|step| (step, DIAGONAL));
-        while let Some((distance, square)) = self.field_queue.pop() {
-            if distance > self.field[square as usize] {
-                continue;
-            }
-            for (step, length) in straight.into_iter().chain(diagonal) {
-                let there = (square as isize + step) as usize;
-                let next = distance + length;
-                if self.open[there] && next < self.field[there] {
-                    self.field[there] = next;
-                    self.field_queue.push(next, there as u32);
-                }
-            }
-        }
-    }
-
-    /// The plane's distance to go at a point; around closed squares that of the best neighbour.
-    fn left_over_plane(&self, lattice: Lattice, p: Point) -> f64 {
-        if self.field.is_empty() {
-            return 0.0;
-        }
-        let Some(square) = lattice.square(p) else { return FAR_M };
-        let here = self.field[square];
-        if here != u32::MAX {
-            return f64::from(here) * FIELD_UNIT_M;
-        }
-        let side = lattice.side();
-        let (x, y) = (square % side, square / side);
-        let mut least = u32::MAX;
-        for y in y.saturating_sub(1)..(y + 2).min(side) {
-            for x in x.saturating_sub(1)..(x + 2).min(side) {
-                least = least.min(self.field[y * side + x]);
-            }
-        }
-        if least == u32::MAX { FAR_M } else { f64::from(least) * FIELD_UNIT_M + LATTICE_M }
     }
 
     /// The state of the last search that is closest to the guide by more than a little and from

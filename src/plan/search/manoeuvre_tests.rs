@@ -1,6 +1,6 @@
 use super::*;
 use crate::frames::wrap_angle;
-use crate::map::Cell;
+use crate::map::{Cell, CellRect};
 use crate::plan::search::{GuideSearch, SearchParams, SearchQuery, Terrain};
 use crate::predict::NoPrediction;
 use proptest::prelude::*;
@@ -46,7 +46,7 @@ fn query(pose: Pose, guide: &Guide) -> ManoeuvreQuery<'_> {
 }
 
 fn find<R: Room>(room: &R, query: &ManoeuvreQuery<'_>) -> Result<Option<Manoeuvre>, NoManoeuvre> {
-    ManoeuvreSearch::new().find(room, query, &ManoeuvreParams::default())
+    ManoeuvreSearch::default().find(room, query, &ManoeuvreParams::default())
 }
 
 /// Everything that a manoeuvre promises, from its points alone.
