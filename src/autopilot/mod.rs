@@ -15,7 +15,9 @@ mod fence;
 mod grant;
 mod health;
 mod mode;
+mod planning;
 mod reconfigure;
+mod tick;
 mod witness;
 
 use std::collections::VecDeque;
@@ -29,25 +31,25 @@ pub use health::{BusHealth, BusState, HostHealth};
 pub use mode::Mode;
 pub use witness::{Happening, Witness};
 
-use crate::command::ForceSetpoint;
-use crate::control::{ControlParams, Tracker, TrackingError, braking_tail};
+use crate::control::{ControlParams, Tracker, TrackingError};
 use crate::fence::Fence;
 use crate::frames::Pose;
 use crate::guard::{Guard, GuardCounts, GuardParams};
 use crate::localize::{ClockMap, Localizer};
 use crate::map::{CellRect, Grid, MapParams, Mapper};
 use crate::odometry::Reading;
-use crate::plan::certify::{CertifyParams, recertify};
-use crate::plan::speed::{SpeedLimits, SpeedParams};
-use crate::plan::{FencePainter, Goal, Path, Plan, PlanRequest, StepReport, Verdict, shorten};
+use crate::plan::certify::CertifyParams;
+use crate::plan::speed::SpeedParams;
+use crate::plan::{FencePainter, Goal, PlanRequest};
 use crate::scan::{Odometry, Scan};
 use crate::time::Instant;
 use crate::tunables;
 use crate::vehicle::VehicleParams;
-use crate::wire::can::{CanFrame, CarMessage, DaemonMode, Decoder, Encoder, Layout, WireStats};
+use crate::wire::can::{CanFrame, CarMessage, Decoder, Encoder, Layout, WireStats};
 use failsafe::GAP_S;
 use grant::Grant;
 use health::Health;
+use planning::InFlight;
 
 tunables! {
     /// The autopilot core.
@@ -103,17 +105,6 @@ pub struct CoreParams {
 
 /// Below this speed the car counts as standing, m/s.
 const REST_SPEED_MPS: f64 = 0.02;
-/// Plans are shifted in time to meet the car only above this speed, m/s.
-const RETIME_SPEED_MIN_MPS: f64 = 0.3;
-/// Largest shift at once, seconds: the period of a 20 Hz lidar.
-const RETIME_MAX_S: f64 = 0.05;
-/// A planning request may come this much before its period is over, seconds.
-const PLAN_PERIOD_SLACK_S: f64 = 0.005;
-/// A car at rest that is further than this from the end of its plan stands elsewhere, metres.
-const PUSHED_M: f64 = 0.02;
-/// Heartbeats are sent this often, seconds.
-const HEARTBEAT_PERIOD_S: f64 = 0.1;
-
 /// The sans-IO core.
 pub struct Autopilot {
     params: CoreParams,
@@ -178,17 +169,6 @@ struct Wish {
     through_known: bool,
     /// Every ground station has gone silent, and that is to stop the car.
     station_lost: bool,
-}
-
-/// A planning step under way.
-struct InFlight {
-    number: u32,
-    since: Instant,
-    goal: Goal,
-    /// Its answer is not wanted any more.
-    void: bool,
-    /// Beams have ended in free space since: its answer is to be looked at again.
-    outdated: bool,
 }
 
 impl Autopilot {
@@ -409,86 +389,6 @@ impl Autopilot {
         self.request_plan(now);
     }
 
-    /// A planning job came back.
-    pub fn handle_job_done(&mut self, now: Instant, report: StepReport) {
-        self.testimony.note_at(now, Happening::JobDone(&report));
-        self.note_time(now);
-        let Some(job) = self.in_flight.take_if(|job| job.number == report.number) else { return };
-        self.grant.note(now.seconds_after(job.since));
-        self.statistics.replans += 1;
-        self.statistics.candidates += u64::from(report.candidates);
-        let prediction = report.prediction;
-        self.health.note_prediction(prediction.fault.is_some() || prediction.resting);
-        if prediction.passed_over && !self.passed_over {
-            let number = report.number;
-            self.events.push_back(Event::PredictionPassedOver { at: now, number });
-        }
-        self.passed_over = prediction.passed_over;
-        if let Some(fault) = prediction.fault {
-            self.statistics.prediction_faults += 1;
-            self.events.push_back(Event::PredictionFault { at: now, number: report.number, fault });
-        }
-        let wanted = !job.void && self.goal == Some(job.goal);
-        match report.verdict {
-            _ if !wanted => self.statistics.plans_stale += 1,
-            Verdict::Plan(plan) => {
-                let welcome = self.mode == Mode::Drive
-                    && self.decisive_action().is_none()
-                    && report.base == self.committed.newest().number;
-                match self.in_time(now, report.takes_over, *plan) {
-                    None => {
-                        self.statistics.plans_late += 1;
-                        self.events.push_back(Event::PlanLate { number: report.number });
-                    }
-                    Some(plan) if welcome && !(job.outdated && self.is_revoked(&plan)) => {
-                        self.adopt(now, plan);
-                    }
-                    Some(_) => self.statistics.plans_stale += 1,
-                }
-            }
-            Verdict::Keep => self.last_adopted = now,
-            Verdict::Rejected(rejection) => {
-                self.statistics.plans_rejected += 1;
-                self.events.push_back(Event::PlanRejected { number: report.number, rejection });
-            }
-            Verdict::Unreachable => {
-                self.raise(now, Fault::GoalUnreachable);
-            }
-        }
-    }
-
-    /// The plan if it can still take over. A car that stands where a plan begins may begin late:
-    /// without that, planning that always takes longer than it is granted would never let the car
-    /// set out.
-    fn in_time(&self, now: Instant, takes_over: Instant, mut plan: Plan) -> Option<Plan> {
-        if now > takes_over {
-            let waits = self.committed.is_finished(now);
-            if !waits || plan.trajectory.points.first().is_none_or(|p| p.speed_mps > 0.0) {
-                return None;
-            }
-            plan.trajectory.start = self.tick_from(now);
-        }
-        Some(plan)
-    }
-
-    /// Whether something stands on a plan by now.
-    fn is_revoked(&self, plan: &Plan) -> bool {
-        let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
-        recertify(&plan.trajectory, 0.0, self.mapper.grid(), radius_m).is_err()
-    }
-
-    fn adopt(&mut self, now: Instant, plan: Plan) {
-        self.last_adopted = now;
-        self.statistics.plans_adopted += 1;
-        let stop = plan.trajectory.last().path;
-        self.events.push_back(Event::PlanAdopted {
-            number: plan.number,
-            stop: stop.position,
-            length_m: stop.s_m,
-        });
-        self.committed.schedule(plan);
-    }
-
     /// Time has passed; does what is due.
     pub fn handle_time(&mut self, now: Instant) {
         self.testimony.note_at(now, Happening::Time);
@@ -542,269 +442,6 @@ impl Autopilot {
         if mode != self.mode {
             self.events.push_back(Event::ModeChanged { at: now, from: self.mode, to: mode });
             self.mode = mode;
-        }
-    }
-
-    /// Whatever comes back from the planning step under way is not wanted any more.
-    fn void_job(&mut self) {
-        self.job = None;
-        if let Some(job) = &mut self.in_flight {
-            job.void = true;
-        }
-    }
-
-    /// The committed plan becomes standing still where the car is.
-    fn stand_here(&mut self, now: Instant) {
-        if let Some(pose) = self.localizer.pose_at(now) {
-            let number = self.take_number();
-            self.committed.replace(Plan { number, ..Plan::standing(now, pose) });
-        }
-    }
-
-    fn take_number(&mut self) -> u32 {
-        let number = self.next_number;
-        self.next_number = self.next_number.wrapping_add(1);
-        number
-    }
-
-    fn request_plan(&mut self, now: Instant) {
-        let (Mode::Drive, Some(goal), None, Some((scan_stamp, scan_pose))) =
-            (self.mode, self.goal, &self.in_flight, self.inputs.scan)
-        else {
-            return;
-        };
-        if self.decisive_action().is_some() || now < self.next_request {
-            return;
-        }
-        // Scans come a little early or late; half a millisecond must not cost a whole scan.
-        let wait_s = (self.params.autopilot.plan_period_s - PLAN_PERIOD_SLACK_S).max(0.0);
-        self.next_request = now.offset_by(wait_s);
-        self.catch_up_with_car(now);
-        let number = self.take_number();
-        let granted_s = self.grant.granted_s(self.params.autopilot.plan_budget_s);
-        // It starts on the newest plan, so not before that one is driven.
-        let takes_over = self.tick_from(now.offset_by(granted_s));
-        let takes_over = self.committed.pending_from().map_or(takes_over, |at| at.max(takes_over));
-        self.in_flight = Some(InFlight { number, since: now, goal, void: false, outdated: false });
-        self.job = Some(PlanRequest {
-            number,
-            grid: self.mapper.snapshot(),
-            changed: std::mem::replace(&mut self.changed, CellRect::EMPTY),
-            scan_stamp,
-            scan_pose,
-            committed: Arc::clone(self.committed.newest()),
-            takes_over,
-            goal,
-            speed_cap_mps: self.wish.speed_limit_mps.unwrap_or(f64::INFINITY),
-            fence: Arc::clone(&self.fence),
-            through_known: self.wish.through_known,
-        });
-    }
-
-    /// The first control tick at or after a moment. Plans take over at ticks: one that begins to brake
-    /// between two ticks would find the car still accelerating until the next one, and a reversal of
-    /// all the grip there is makes that 0.17 m/s, or at 8 m/s a stop 8 cm too late.
-    fn tick_from(&self, at: Instant) -> Instant {
-        let tick_s = self.params.autopilot.tick_s();
-        let ticks = (at.seconds_after(self.next_tick) / tick_s - 1e-6).ceil().max(0.0);
-        self.next_tick.offset_by(ticks * tick_s)
-    }
-
-    /// The committed plan is a path with a speed for each place; its clock is ours to set. A car
-    /// that is a few centimetres late (or early) gets its plan shifted in time rather than being
-    /// chased: in bends there is no grip left for catching up.
-    fn catch_up_with_car(&mut self, now: Instant) {
-        let current = &self.committed.current().trajectory;
-        let wanted = current.at(now);
-        let along_m = self.last_error.along_m;
-        let too_slow = wanted.speed_mps < RETIME_SPEED_MIN_MPS;
-        if too_slow || along_m == 0.0 || self.mode != Mode::Drive || current.start > now {
-            return;
-        }
-        let there = current.at_distance(wanted.path.s_m + along_m);
-        let late_s = (wanted.t_s - there.t_s).clamp(-RETIME_MAX_S, RETIME_MAX_S);
-        self.committed.retime(late_s);
-        self.last_error.along_m = 0.0;
-    }
-
-    /// A beam ended in space that was known to be free, or the fence is another one: looks at the
-    /// plan under way again, and
-    /// shortens it if it no longer passes.
-    fn certify_again(&mut self, now: Instant) {
-        let radius_m = self.params.vehicle.radius_m + self.params.certify.margin_m;
-        let fenced = self.fenced_grid(now);
-        let grid = fenced.as_ref().unwrap_or_else(|| self.mapper.grid());
-        let next_fails = self
-            .committed
-            .next()
-            .is_some_and(|next| recertify(&next.trajectory, 0.0, grid, radius_m).is_err());
-        if next_fails {
-            self.committed.drop_next();
-        }
-        let current = &self.committed.current().trajectory;
-        let elapsed = now.seconds_after(current.start).max(0.0);
-        if recertify(current, elapsed, grid, radius_m).is_ok() {
-            return;
-        }
-        self.statistics.plans_revoked += 1;
-        let limits = SpeedLimits::new(&self.params.speed, &self.params.vehicle);
-        match shorten(current, now, grid, radius_m, &limits) {
-            Some(trajectory) => {
-                let number = self.take_number();
-                let scan_stamp = self.committed.current().scan_stamp;
-                self.events.push_back(Event::PlanShortened { at: now, number });
-                self.committed.replace(Plan {
-                    number,
-                    scan_stamp,
-                    trajectory,
-                    beyond: Path::default(),
-                });
-                self.next_tail = now;
-            }
-            None => self.raise(now, Fault::PathBlocked),
-        }
-    }
-
-    fn tick(&mut self, now: Instant) {
-        if self.committed.promote(now) {
-            self.next_tail = now;
-        }
-        self.check_health(now);
-        let state = self.state(now);
-        let standing = state.is_none_or(|(_, speed)| speed.abs() < REST_SPEED_MPS);
-        self.settle_mode(now, state, standing);
-        let mut setpoint = ForceSetpoint::default();
-        if let Some((pose, speed)) = state.filter(|_| self.is_following()) {
-            let trajectory = &self.committed.current().trajectory;
-            let tracking = self.tracker.track(trajectory, now, pose, speed);
-            self.last_error = tracking.error;
-            setpoint = tracking.setpoint;
-            if tracking.error.lateral_m.abs() > self.params.autopilot.tracking_error_max_m {
-                self.raise(now, Fault::TrackingError);
-                self.settle_mode(now, state, standing);
-            }
-            if !self.is_following() {
-                setpoint = ForceSetpoint::default();
-            }
-        }
-        if self.mode == Mode::Drive && standing {
-            self.check_arrival(now);
-        }
-        self.send(now, setpoint);
-        if !standing {
-            let age = now.since(self.committed.current().scan_stamp);
-            self.statistics.plan_ages.push(age);
-        }
-    }
-
-    /// Whether setpoints lead along the committed plan.
-    fn is_following(&self) -> bool {
-        matches!(self.mode, Mode::Drive | Mode::Hold | Mode::Stop) && !self.braking
-    }
-
-    /// The mode that the active faults call for.
-    fn settle_mode(&mut self, now: Instant, state: Option<(Pose, f64)>, standing: bool) {
-        if standing && self.mode == Mode::Stop && self.is_pose_trusted(true) {
-            for fault in self.faults.iter().filter(|fault| fault.row().clears == Clears::AtRest) {
-                self.clear(now, fault);
-            }
-        }
-        let action = self.decisive_action();
-        match (self.mode, action) {
-            (Mode::Drive | Mode::Hold, Some(_)) => self.transition(now, Mode::Stop),
-            (Mode::Stop, None) if standing => {
-                self.stand_here(now);
-                match self.goal {
-                    Some(_) if self.paused => self.transition(now, Mode::Hold),
-                    Some(_) => self.begin_drive(now),
-                    None => self.transition(now, Mode::Standby),
-                }
-            }
-            _ => {}
-        }
-        // A plan that is not being followed, or cannot be, gives way to standing here.
-        let given_up = match self.mode {
-            Mode::Disarmed | Mode::Standby => true, // somebody pushed the car
-            Mode::Stop => true,                     // finishing a plan does not mean to set off
-            Mode::Drive => self.guard.stopping().is_some(),
-            Mode::Hold => false,
-        };
-        if given_up && standing {
-            let planned = self.committed.newest().trajectory.last().path.position;
-            if state.is_some_and(|(pose, _)| (pose.position - planned).norm() > PUSHED_M) {
-                self.stand_here(now);
-            }
-        }
-        if self.mode == Mode::Stop {
-            self.braking |= action == Some(Action::BrakeNow);
-        } else {
-            self.braking = false;
-        }
-    }
-
-    fn send(&mut self, now: Instant, setpoint: ForceSetpoint) {
-        if now >= self.next_tail {
-            self.next_tail = now.offset_by(self.params.autopilot.tail_period_s);
-            self.send_tail(now);
-        }
-        let decision = self.guard.check(now, setpoint);
-        self.statistics.guard_stops = self.guard.counts().stops;
-        if self.guard.stopping().is_some() {
-            self.raise(now, Fault::GuardStop);
-        }
-        match self.encoder.encode_setpoint(&decision.setpoint) {
-            Ok(frame) => self.frames.push_back(frame),
-            Err(_) => self.statistics.setpoints_unsendable += 1,
-        }
-        if now >= self.next_heartbeat {
-            self.next_heartbeat = now.offset_by(HEARTBEAT_PERIOD_S);
-            let uptime_ms = now.since(self.started).as_millis() as u32;
-            let mode = match self.mode {
-                Mode::Disarmed => DaemonMode::Standby,
-                Mode::Standby | Mode::Hold => DaemonMode::Hold,
-                Mode::Drive => DaemonMode::Guided,
-                Mode::Stop => DaemonMode::Stop,
-            };
-            self.frames.push_back(self.encoder.encode_heartbeat(uptime_ms, mode));
-        }
-    }
-
-    fn send_tail(&mut self, now: Instant) {
-        // Without a pose that can be believed the tail that the car holds is the better one.
-        let Some((odometry, pose)) = self.localizer.newest() else { return };
-        if !self.is_pose_trusted(odometry.speed_mps.abs() < REST_SPEED_MPS) {
-            return;
-        }
-        let plan = self.committed.current();
-        let tail = braking_tail(
-            plan.number as u16,
-            &plan.trajectory,
-            &odometry,
-            pose,
-            &self.params.vehicle,
-            &self.params.control,
-        );
-        // A tail that the guard cannot place proves nothing to it; its older one stays.
-        let _ = self.guard.handle_tail(&tail);
-        self.tail_frames.clear();
-        match self.encoder.encode_tail(&tail, &mut self.tail_frames) {
-            Ok(()) => {
-                self.health.note_tail(now, tail.plan);
-                self.frames.extend(self.tail_frames.drain(..));
-            }
-            Err(_) => self.statistics.tails_unsendable += 1,
-        }
-    }
-
-    fn check_arrival(&mut self, now: Instant) {
-        let Some(goal) = self.goal else { return };
-        let Some(pose) = self.localizer.pose_at(now) else { return };
-        let finished = self.committed.is_finished(now);
-        if finished && (pose.position - goal.position).norm() <= goal.radius_m {
-            self.goal = None;
-            self.events.push_back(Event::GoalReached { at: now, position: pose.position });
-            self.stand_here(now);
-            self.transition(now, Mode::Standby);
         }
     }
 }
