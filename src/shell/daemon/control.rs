@@ -1,6 +1,9 @@
 //! The control loop: joins the core to the bus, the planner and whoever gives orders. It owns the
 //! core; nothing in it waits for anything but its own events.
 
+mod bus;
+mod ending;
+
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,39 +18,25 @@ use super::seam::{CommandRefusal, CoreSnapshot, InnerSeam, Request};
 use super::statistics::{Frames, Statistics, Summary};
 use super::timing::Timing;
 use super::worker::{Finished, PlanningParams, Worker};
-use crate::autopilot::{Autopilot, BusHealth, Command, Event, HostHealth, Mode};
+use crate::autopilot::{Autopilot, Command, Event, HostHealth, Mode};
 use crate::frames::Point;
 use crate::params::Params;
-use crate::shell::can::{BusState, Received, SendFault};
 use crate::shell::load::LoadMeter;
 use crate::shell::logbook::Recorder;
 use crate::shell::simulator::log;
 use crate::time::{Duration, Instant};
 use crate::wire::can::CanFrame;
+use bus::SCANS_MAX;
+use ending::{Ending, Reason};
 
-/// A frame that the bus has not taken after this long is out of date.
-const FRAME_LIFE: Duration = Duration::from_millis(20);
-/// A full send queue is tried again after this long.
-const SEND_AGAIN: Duration = Duration::from_millis(1);
-/// After a fault of the socket it is left alone for this long.
-const DEAF: Duration = Duration::from_millis(100);
-/// Among frames that come without a pause the clock is looked at after so many.
-const FRAMES_BLIND: u32 = 8;
-/// Scans whose plan is still awaited.
-const SCANS_MAX: usize = 16;
 /// Between two snapshots for whoever listens.
 const SNAPSHOT_PERIOD: Duration = Duration::from_millis(50);
 /// Between two lines of statistics.
 const LINE_PERIOD: Duration = Duration::from_secs(1);
 /// Between two attempts to arm.
 const ERRAND_PERIOD: Duration = Duration::from_millis(50);
-/// The car counts as standing after this long without motion, when the daemon is to end.
-const STANDING: Duration = Duration::from_millis(200);
 /// The car is told for this long that the daemon is disarmed before it ends.
 const FAREWELL: Duration = Duration::from_millis(100);
-/// Granted to braking once the car has not come to rest along its plan.
-const BRAKING: Duration = Duration::from_secs(2);
-
 /// What the rest of the daemon has to say to the control loop.
 #[derive(Debug)]
 pub enum Order {
@@ -112,27 +101,6 @@ pub struct Task {
     pub time_limit_s: Option<f64>,
     /// The previous run did not end as it should: no arming without being told.
     pub after_crash: bool,
-}
-
-/// Why the loop ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Reason {
-    Asked,
-    CutOff,
-    Goal,
-    TimeLimit,
-    PlannerLost,
-}
-
-/// How far the end has come.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Ending {
-    /// The car comes to rest along its plan.
-    Plan { since: Instant, standing_since: Option<Instant> },
-    /// It did not in time, and brakes.
-    Brake { since: Instant },
-    /// It stands, and is told that this is the end.
-    Farewell { since: Instant },
 }
 
 /// The control loop.
@@ -242,62 +210,6 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
     }
 
     // ---- what comes in
-
-    fn hear(&mut self, received: Received) {
-        let Received::Frame { at, frame } = received else {
-            self.report_bus(self.timing.now());
-            return;
-        };
-        self.frames_since_tick += 1;
-        let scans = self.core.statistics().scans;
-        self.core.handle_frame(at, &frame);
-        if self.core.statistics().scans > scans
-            && let Some(scan) = self.core.newest_scan()
-        {
-            self.scans.push_back((scan.stamp, at));
-            if self.scans.len() > SCANS_MAX {
-                self.scans.pop_front();
-            }
-        }
-        self.fetch(at);
-        // As long as frames come without a pause, nobody looks at the alarm.
-        self.frames_blind += 1;
-        if at >= self.wake_at() || self.frames_blind >= FRAMES_BLIND {
-            self.wake();
-        }
-    }
-
-    /// The link is of no more use for now (the interface has disappeared): it is opened again a
-    /// little later.
-    fn turn_deaf(&mut self, reason: String) {
-        if reason != self.deaf_reason {
-            tracing::error!("{reason}");
-            self.deaf_reason = reason;
-        }
-        let now = self.timing.now();
-        self.deaf_until = Some(now + DEAF);
-        self.report_bus(now);
-    }
-
-    fn open_again(&mut self) {
-        match self.link.reopen() {
-            Ok(()) => {
-                tracing::info!("the link is open again");
-                self.deaf_until = None;
-                self.deaf_reason.clear();
-            }
-            Err(error) => self.turn_deaf(error.to_string()),
-        }
-    }
-
-    fn report_bus(&mut self, now: Instant) {
-        let statistics = self.link.statistics();
-        let deaf = self.deaf_until.is_some();
-        let state = if deaf { BusState::Off } else { statistics.state };
-        let error_frames = statistics.error_frames;
-        let health = BusHealth { state, error_frames, frames_unsent: self.unsent };
-        self.core.handle_bus_health(now, health);
-    }
 
     fn report_host(&mut self, now: Instant) {
         let health = HostHealth {
@@ -541,54 +453,6 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
         let _ = self.outside.words.send(Word::Status(status));
     }
 
-    // ---- the end
-
-    fn begin_end(&mut self, reason: Reason, why: &str) {
-        if self.ending.is_some() {
-            return;
-        }
-        let now = self.timing.now();
-        tracing::info!("{why}: bringing the car to rest");
-        let _ = self.outside.words.send(Word::Stopping);
-        // Refused where the car is at rest or coming to rest anyway.
-        let _ = self.core.handle_command(now, Command::Pause);
-        self.ending = Some((reason, Ending::Plan { since: now, standing_since: None }));
-        self.fetch(now);
-    }
-
-    fn advance_end(&mut self, now: Instant) {
-        let Some((_, ending)) = &mut self.ending else { return };
-        let standing = self.core.is_at_rest(now);
-        match ending {
-            Ending::Plan { since, standing_since } => {
-                let stood = standing && {
-                    let from = *standing_since.get_or_insert(now);
-                    now.since(from) >= STANDING
-                };
-                if !standing {
-                    *standing_since = None;
-                }
-                if stood {
-                    *ending = Ending::Farewell { since: now };
-                } else if now.seconds_after(*since) > self.params.daemon.stop_time_limit_s {
-                    tracing::error!("the car does not come to rest along its plan: braking");
-                    *ending = Ending::Brake { since: now };
-                } else {
-                    return;
-                }
-                // Disarming is never refused.
-                let _ = self.core.handle_command(now, Command::Disarm);
-                self.fetch(now);
-            }
-            Ending::Brake { since } => {
-                if standing || now.since(*since) > BRAKING {
-                    *ending = Ending::Farewell { since: now };
-                }
-            }
-            Ending::Farewell { .. } => {}
-        }
-    }
-
     // ---- what goes out
 
     /// Takes what the core wants to send, have planned, and have said.
@@ -618,26 +482,6 @@ impl<L: Link, T: Timing, W: Worker> Control<L, T, W> {
             }
             // Nobody may be listening.
             let _ = self.outside.seam.events.send(event);
-        }
-    }
-
-    /// Gives the bus what it takes, in order; what has waited too long is dropped.
-    fn send(&mut self) {
-        self.send_at = None;
-        while let Some((since, frame)) = self.outbox.front() {
-            match self.link.try_send(frame) {
-                Ok(()) => {}
-                Err(SendFault::Full) => {
-                    let now = self.timing.now();
-                    if now.since(*since) <= FRAME_LIFE {
-                        self.send_at = Some(now + SEND_AGAIN);
-                        return;
-                    }
-                    self.unsent += 1;
-                }
-                Err(_) => self.unsent += 1,
-            }
-            self.outbox.pop_front();
         }
     }
 
