@@ -234,6 +234,17 @@ impl TailCurve {
     }
 }
 
+/// The lateral acceleration, m/s^2, of a braking car in a bend that asks for `wished`: all of it as
+/// long as the tyres hold it. Of a bend that asks for more, as much less than the tyres hold as is
+/// missing, but 0.8 of it at least: a car that is too fast for a bend and only steers does not get
+/// any slower, and where the bend tightens it is lost.
+pub fn bend_share(wished: f64, grip: f64) -> f64 {
+    const LEAST: f64 = 0.8;
+    let missing = (wished.abs() / grip - 1.0).max(0.0);
+    let share = (1.0 - missing).max(LEAST);
+    wished.clamp(-share * grip, share * grip)
+}
+
 /// The pose after a short step on which the curvature runs linearly from `k0_pm` to `k1_pm`: an arc of
 /// the mean curvature whose chord points as the clothoid's does (to first order).
 fn along_clothoid(start: Pose, step_m: f64, k0_pm: f64, k1_pm: f64) -> Pose {
@@ -348,6 +359,15 @@ mod tests {
         assert_eq!(refused(&broken), TailError::Sample(1));
         broken.samples[1] = TailSample { curvature_pm: f64::INFINITY, speed_mps: 1.0 };
         assert_eq!(refused(&broken), TailError::Sample(1));
+    }
+
+    #[test]
+    fn a_bend_gets_what_the_tyres_hold_and_less_where_that_is_not_enough() {
+        for (wished, share) in
+            [(0.0, 0.0), (4.0, 4.0), (-8.0, -8.0), (8.4, 7.6), (-9.0, -7.0), (20.0, 6.4)]
+        {
+            assert!((bend_share(wished, 8.0) - share).abs() < 1e-9, "{wished}");
+        }
     }
 
     #[test]

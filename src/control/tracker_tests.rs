@@ -143,6 +143,42 @@ fn a_car_held_up_does_not_exceed_the_plans_speed_to_catch_up() {
     assert!((car.travelled_m() - 2.0).abs() < 0.01, "{}", car.travelled_m());
 }
 
+/// Four metres that tighten from 0.4 to 1.8 1/m, a piece of circle, and a straight run.
+fn tightening_bend() -> Trajectory {
+    let tightens = (0..400).map(|i| 0.4 + 1.4 * f64::from(i) / 400.0);
+    let curvature = tightens.chain(vec![1.8; 80]).chain(vec![0.0; 321]);
+    let mut t =
+        trial::profile(&curvature.collect::<Vec<_>>(), level(), Instant::ZERO, 8.0, 0.95 * ACCEL);
+    t.start = Instant::ZERO;
+    t
+}
+
+#[test]
+fn a_car_that_is_too_fast_for_a_bend_that_tightens_gets_slower_in_it() {
+    let t = tightening_bend();
+    let tracker = Tracker::new(&VehicleParams::default(), &ControlParams::default(), 0.01);
+    // Where all the grip is needed.
+    for (from_m, haste_mps) in [(1.6, 0.2), (1.6, 0.3), (2.0, 0.3), (2.4, 0.3)] {
+        let here = t.at_distance(from_m);
+        let pose = Pose { position: here.path.position, heading_rad: here.path.heading_rad };
+        let mut car = Car::new(&VehicleParams::default(), &CarParams::default(), pose)
+            .with_speed(here.speed_mps + haste_mps);
+        let (mut wide_m, mut haste) = (0.0_f64, Vec::new());
+        for tick in 0..60 {
+            let now = t.start.offset_by(here.t_s + 0.01 * f64::from(tick));
+            let state = *car.state();
+            let step = tracker.track(&t, now, state.pose, state.speed_mps);
+            wide_m = wide_m.max(step.error.lateral_m.abs());
+            haste.push(state.speed_mps - t.at_distance(step.s_m).speed_mps);
+            for _ in 0..10 {
+                car.step(1e-3, &step.setpoint);
+            }
+        }
+        assert!(wide_m < 0.035, "{from_m} m, {haste_mps} m/s: {wide_m} m wide, {haste:?}");
+        assert!(haste[30..].iter().all(|haste| *haste < 0.08), "{from_m} m: {haste:?}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]
     #[test]

@@ -14,7 +14,7 @@ use crate::command::{BrakingTail, ForceSetpoint};
 use crate::frames::Pose;
 use crate::odometry::{OdometryTrack, Reading};
 use crate::scan::{Odometry, Scan};
-use crate::tail::{TailCurve, TailError};
+use crate::tail::{TailCurve, TailError, bend_share};
 use crate::time::Instant;
 use crate::tunables;
 use crate::vehicle::VehicleParams;
@@ -336,7 +336,7 @@ impl Guard {
         }
         // The lateral force for the speed in the middle of the period.
         let slower = (speed - 0.5 * grip * self.period_s).max(0.0);
-        let lateral = (curvature * slower * slower).clamp(-grip, grip);
+        let lateral = bend_share(curvature * slower * slower, grip);
         ForceSetpoint {
             longitudinal_n: -self.mass_kg * (grip * grip - lateral * lateral).max(0.0).sqrt(),
             lateral_n: self.mass_kg * lateral,

@@ -1,5 +1,6 @@
 //! Whole drives under watch.
 
+use apexd::autopilot::Event;
 use apexd::frames::{Point, Pose};
 use apexd::plan::{Policy, Reading};
 use apexd::predict::PredictorKind;
@@ -42,6 +43,16 @@ fn whole_drives_keep_every_rule_at_every_step() {
         ]);
     }
     trials.par_iter().for_each(|trial| drop(drive_checked(trial)));
+}
+
+/// Two reversals of all the grip there is, a scan's period apart, left this car 0.1 m/s too fast for
+/// the bend that came then and tightened: it only steered, got no slower, and hit the wall.
+#[test]
+fn a_car_that_is_too_fast_for_its_bend_brakes_in_it() {
+    let mut trial = Trial::maze(Family::Branching, 1_448_258).predictor(PredictorKind::Cnp);
+    (trial.speed_mps, trial.lidar_hz, trial.seed) = (6.0, 10.0, 1_061_254_799);
+    let (_, watch) = drive_checked(&trial.for_s(13.0));
+    assert!(!watch.events.iter().any(|(_, event)| matches!(event, Event::FaultRaised { .. })));
 }
 
 #[test]
