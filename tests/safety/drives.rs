@@ -2,7 +2,7 @@
 
 use apexd::autopilot::Event;
 use apexd::frames::{Point, Pose};
-use apexd::plan::{Policy, Reading};
+use apexd::plan::{ForeseenParams, Policy, Reading};
 use apexd::predict::PredictorKind;
 use apexd::sim::drive::Outcome;
 use apexd::sim::maze::Family;
@@ -51,6 +51,7 @@ fn whole_drives_keep_every_rule_at_every_step() {
 fn a_car_that_is_too_fast_for_its_bend_brakes_in_it() {
     let mut trial = Trial::maze(Family::Branching, 1_448_258).predictor(PredictorKind::Cnp);
     (trial.speed_mps, trial.lidar_hz, trial.seed) = (6.0, 10.0, 1_061_254_799);
+    trial.foreseen = ForeseenParams::default();
     let (_, watch) = drive_checked(&trial.for_s(13.0));
     assert!(!watch.events.iter().any(|(_, event)| matches!(event, Event::FaultRaised { .. })));
 }

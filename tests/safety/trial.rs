@@ -6,7 +6,7 @@ use apexd::autopilot::AutopilotParams;
 use apexd::frames::{Point, Pose};
 use apexd::guard::GuardParams;
 use apexd::params::Params;
-use apexd::plan::{Planner, PlannerParams, Planning, Policy, Reading};
+use apexd::plan::{ForeseenParams, Planner, PlannerParams, Planning, Policy, Reading};
 use apexd::predict::{self, PredictParams, Predictor, PredictorKind};
 use apexd::sim::car::CarParams;
 use apexd::sim::faults::{Cut, FaultPlan, FrameFault, Harm};
@@ -42,6 +42,7 @@ pub struct Trial {
     pub layout: Layout,
     pub control_rate_hz: f64,
     pub seed: u64,
+    pub foreseen: ForeseenParams,
 }
 
 impl Trial {
@@ -71,6 +72,14 @@ impl Trial {
             layout: Layout::Fd,
             control_rate_hz: 100.0,
             seed: 1,
+            // Harder than the default: at any speed shapes rely on whatever any predictor says,
+            // however unfamiliar the scene.
+            foreseen: ForeseenParams {
+                free_at_most: 0.45,
+                occupied_at_least: 0.55,
+                familiarity_at_least: 0.0,
+                network_speed_mps: f64::INFINITY,
+            },
         }
     }
 
@@ -157,12 +166,7 @@ impl Trial {
         params.plan.policy = self.policy;
         params.plan.reading = self.reading;
         params.speed.speed_max_mps = self.speed_mps;
-        // Harder than the default: at any speed shapes rely on whatever any predictor says, however
-        // unfamiliar the scene.
-        params.foreseen.free_at_most = 0.45;
-        params.foreseen.occupied_at_least = 0.55;
-        params.foreseen.familiarity_at_least = 0.0;
-        params.foreseen.network_speed_mps = f64::INFINITY;
+        params.foreseen = self.foreseen.clone();
         params
     }
 
