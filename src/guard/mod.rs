@@ -387,7 +387,7 @@ impl Guard {
         }
         setpoint.curvature_pm = setpoint.curvature_pm.clamp(-limit, limit);
         if norm > circle {
-            // The bend comes first, as in the tracker: a car that runs wide cannot be caught.
+            // The bend comes first, as in the tracker for a car that is no faster than planned.
             setpoint.lateral_n = setpoint.lateral_n.clamp(-circle, circle);
             let room = (circle * circle - setpoint.lateral_n.powi(2)).max(0.0).sqrt();
             setpoint.longitudinal_n = setpoint.longitudinal_n.clamp(-room, room);
