@@ -234,14 +234,17 @@ impl TailCurve {
     }
 }
 
+/// The least share of the grip that a bend gets of a car that is too fast for it: 0.6 are left for
+/// braking.
+pub const BEND_SHARE_MIN: f64 = 0.8;
+
 /// The lateral acceleration, m/s^2, of a braking car in a bend that asks for `wished`: all of it as
 /// long as the tyres hold it. Of a bend that asks for more, as much less than the tyres hold as is
-/// missing, but 0.8 of it at least: a car that is too fast for a bend and only steers does not get
+/// missing, but [`BEND_SHARE_MIN`] at least: a car that is too fast for a bend and only steers does not get
 /// any slower, and where the bend tightens it is lost.
 pub fn bend_share(wished: f64, grip: f64) -> f64 {
-    const LEAST: f64 = 0.8;
     let missing = (wished.abs() / grip - 1.0).max(0.0);
-    let share = (1.0 - missing).max(LEAST);
+    let share = (1.0 - missing).max(BEND_SHARE_MIN);
     wished.clamp(-share * grip, share * grip)
 }
 

@@ -4,6 +4,7 @@ use super::ControlParams;
 use crate::command::ForceSetpoint;
 use crate::frames::{Pose, Vector, heading_vector, wrap_angle};
 use crate::plan::Trajectory;
+use crate::tail::BEND_SHARE_MIN;
 use crate::time::Instant;
 use crate::vehicle::VehicleParams;
 
@@ -20,8 +21,6 @@ const HOLD_SHARE: f64 = 0.1;
 /// that it asks for (half the reserve that plans leave), and by which it is where it gets the least.
 const HASTE_FROM: f64 = 0.015;
 const HASTE_TO: f64 = 0.06;
-/// The least share of the grip that a bend gets: 0.6 are left for braking.
-const BEND_SHARE_MIN: f64 = 0.8;
 
 /// How far the car is from its trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]

@@ -504,3 +504,23 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_car_too_fast_for_its_way_to_stop_still_brakes_in_the_bend() {
+    let broken = ForceSetpoint { lateral_n: f64::NAN, ..gentle() };
+    let braking = |curvature_pm: f64| {
+        let (mut guard, now) = ready(4.0);
+        let pose = guard.track.pose_at(now).unwrap();
+        guard.escape =
+            Some(Escape { curve: TailCurve::arc(pose, curvature_pm, 3.0, 4.0), s_m: 0.0 });
+        let setpoint = guard.check(now, broken).setpoint;
+        let grip_n = guard.mass_kg * ACCEL;
+        (setpoint.longitudinal_n / grip_n, setpoint.lateral_n / grip_n)
+    };
+    // What the tyres hold is steered in full, ...
+    let (along, across) = braking(0.5);
+    assert!((0.86..0.91).contains(&across) && along < -0.4, "{along}, {across}");
+    // ... and of what they do not, enough is left for braking.
+    let (along, across) = braking(-1.5);
+    assert!((across + 0.8).abs() < 0.01 && along < -0.59, "{along}, {across}");
+}
